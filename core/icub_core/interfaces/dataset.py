@@ -1,0 +1,28 @@
+"""Dataset: annotated RGB-D (or RGB) images."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from icub_core.data import Instance, RgbdFrame
+
+
+class Dataset(ABC):
+    """A finite, indexable set of annotated frames.
+
+    Contract: `classes` has no duplicates; every label of every instance is one of them; item i is the same at every
+    reading; masks and boxes agree with the image size; a set without depth gives depth 0 everywhere.
+    """
+
+    @property
+    @abstractmethod
+    def classes(self) -> tuple[str, ...]:
+        """Class names in a fixed order."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Number of frames."""
+
+    @abstractmethod
+    def __getitem__(self, index: int) -> tuple[RgbdFrame, tuple[Instance, ...]]:
+        """Frame and its instances. Raises IndexError past the end, DataError naming the file for a corrupt item."""

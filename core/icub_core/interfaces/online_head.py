@@ -1,0 +1,23 @@
+"""On-line head: a classifier that is trained in a moment on features."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import torch
+
+
+class OnlineHead(ABC):
+    """Real-valued scores for one or several one-vs-rest problems on one pool of samples.
+
+    Contract: `fit` forgets what was fitted before; the same data and seed give the same scores; predicting before
+    fitting raises NotFittedError; inputs are never changed; NaN or infinite features raise DataError.
+    """
+
+    @abstractmethod
+    def fit(self, X: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
+        """Train on samples X (n, d) float32 with targets Y (n, t), usually +1 and -1, one column a problem."""
+
+    @abstractmethod
+    def decision_function(self, X: torch.Tensor) -> torch.Tensor:
+        """Scores (n, t) of samples X (n, d)."""

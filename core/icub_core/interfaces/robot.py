@@ -1,0 +1,75 @@
+"""Robot: a description and its kinematics."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from icub_core.robot_description import RobotDescription
+
+
+@dataclass(frozen=True, eq=False)
+class IkSolution:
+    """Answer of an inverse-kinematics solver, also when it fails.
+
+    Attributes:
+        q: (n,) full joint vector, rad, always within the limits; joints outside the solved group keep their start.
+        reached: Whether both errors are within the tolerances asked for.
+        position_error: Metres.
+        orientation_error: Radians.
+        limits_hit: Names of the joints that ended on a limit.
+    """
+
+    q: NDArray[np.float64]
+    reached: bool
+    position_error: float
+    orientation_error: float
+    limits_hit: tuple[str, ...] = ()
+
+
+class Robot(ABC):
+    """One robot: data (`description`) and kinematics that need no simulator.
+
+    Contract: `home_q` lies within the limits; FK is a pure function of q; IK never raises for an unreachable pose
+    and never returns joints outside their limits.
+    """
+
+    @property
+    @abstractmethod
+    def description(self) -> RobotDescription:
+        """The robot as data. The same object at every call."""
+
+    @abstractmethod
+    def forward_kinematics(self, q: NDArray[np.float64], frame: str) -> NDArray[np.float64]:
+        """Return T_world_frame (4, 4) at the joint vector `q` (n,). Raises ConfigError for an unknown frame."""
+
+    @abstractmethod
+    def jacobian(self, q: NDArray[np.float64], frame: str) -> NDArray[np.float64]:
+        """Return the (6, n) Jacobian of `frame`: linear then angular velocity, in world axes at the frame's origin."""
+
+    @abstractmethod
+    def inverse_kinematics(
+        self,
+        T_world_frame: NDArray[np.float64],
+        q_start: NDArray[np.float64],
+        frame: str,
+        *,
+        group: str = "right_reach",
+        max_iterations: int = 100,
+        position_tolerance: float = 1e-3,
+        orientation_tolerance: float = 1e-2,
+    ) -> IkSolution:
+        """Move the joints of `group` so that `frame` takes the pose `T_world_frame` (4, 4).
+
+        Args:
+            T_world_frame: Wanted pose.
+            q_start: (n,) start, also the posture that the solution stays near.
+            frame: Name of the frame to place.
+            group: Joints that may move.
+            max_iterations: Of one descent; 1 or 2 suffice to track a target that moves by millimetres.
+            position_tolerance: Metres.
+            orientation_tolerance: Radians.
+        """

@@ -1,0 +1,1 @@
+"""Data sets, rendered and read from disk."""

@@ -1,0 +1,1 @@
+"""Grasp-pose generators for the iCub hand."""

@@ -1,0 +1,1 @@
+"""Segmentation: feature extractors, on-line heads, and the segmenters composed of them."""
