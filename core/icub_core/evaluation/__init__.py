@@ -1,0 +1,1 @@
+"""Measures of quality, and the one form in which figures are written."""

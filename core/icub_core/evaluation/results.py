@@ -1,0 +1,85 @@
+"""The one form of every file in `benchmarks/results/`: figures with what is needed to get them again."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from icub_core.files import write_text_atomically
+
+REPORTED_PACKAGES = (
+    "icub-kit", "torch", "torchvision", "torchrl", "tensordict", "mujoco", "pybullet", "pin", "placo",
+    "numpy", "scipy", "scikit-learn", "hydra-core", "faster-coco-eval",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured number.
+
+    Attributes:
+        value: Mean or median, as the key says.
+        unit: SI unit, or ``"1"`` for shares and ratios.
+        spread: Standard deviation, half interval or (low, high); None when measured once.
+        n: Number of repetitions.
+    """
+
+    value: float
+    unit: str
+    spread: float | tuple[float, float] | None = None
+    n: int = 1
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the libraries that decide results; absent ones are left out."""
+    found = {"python": platform.python_version()}
+    for name in REPORTED_PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def machine() -> dict[str, Any]:
+    """Return the number of usable cores and the name of the GPU, or None."""
+    import torch
+
+    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else None
+    return {"cores": len(os.sched_getaffinity(0)), "gpu": gpu}
+
+
+def write_results(path: Path, *, command: str, seed: int, figures: Mapping[str, Figure]) -> None:
+    """Write `figures` to a results file, keeping figures of other keys that are already there.
+
+    The header (command, seed, date, versions, machine) describes the figures written last; a figure kept from an
+    earlier run carries its own ``command`` and ``date``.
+
+    Args:
+        path: File in benchmarks/results.
+        command: Line to type to measure again.
+        seed: First seed used.
+        figures: By key, such as ``sim.env_steps_per_s``.
+    """
+    old: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    kept = dict(old.get("figures", {}))
+    for entry in kept.values():
+        entry.setdefault("command", old["command"])
+        entry.setdefault("date", old["date"])
+    fresh = {key: asdict(figure) for key, figure in figures.items()}
+    content = {
+        "command": command,
+        "seed": seed,
+        "date": datetime.date.today().isoformat(),
+        "versions": versions(),
+        "machine": machine(),
+        "figures": dict(sorted({**kept, **fresh}.items())),
+    }
+    write_text_atomically(path, json.dumps(content, indent=2) + "\n")
