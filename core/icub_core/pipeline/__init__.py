@@ -1,0 +1,1 @@
+"""The stages of a run: teach, learn, see, plan, grasp, report."""
