@@ -72,6 +72,25 @@ def matrix_to_quat_wxyz(R: ArrayLike) -> FloatArray:
     return q if q[0] >= 0 else -q
 
 
+def rpy_to_matrix(rpy: ArrayLike) -> FloatArray:
+    """Return the rotation (3, 3) of the URDF's roll, pitch, yaw (3,): R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
+    return rotation_about("z", yaw) @ rotation_about("y", pitch) @ rotation_about("x", roll)
+
+
+def matrix_to_rpy(R: ArrayLike) -> FloatArray:
+    """Return roll, pitch, yaw (3,) of a rotation (3, 3), such that `rpy_to_matrix` gives it back.
+
+    At pitch +-pi/2, where only roll -+ yaw is defined, yaw is 0.
+    """
+    m = np.asarray(R, dtype=np.float64)
+    cosine = float(np.hypot(m[0, 0], m[1, 0]))
+    pitch = np.arctan2(-m[2, 0], cosine)
+    if cosine < 1e-9:
+        return np.array([np.arctan2(-m[1, 2], m[1, 1]), pitch, 0.0])
+    return np.array([np.arctan2(m[2, 1], m[2, 2]), pitch, np.arctan2(m[1, 0], m[0, 0])])
+
+
 def rotation_about(axis: str, angle: float) -> FloatArray:
     """Return the (3, 3) rotation by `angle` about the named axis, ``"x"``, ``"y"`` or ``"z"``."""
     c, s = np.cos(angle), np.sin(angle)

@@ -47,6 +47,18 @@ class JointDynamics:
 
 
 @dataclass(frozen=True)
+class CoupledJoint:
+    """A joint that a mechanism moves with another: q[joint] = multiplier * q[leader], rad.
+
+    Loaders add it as an equality constraint. None of these exist where the coupling is under-actuated (a tendon).
+    """
+
+    joint: str
+    leader: str
+    multiplier: float
+
+
+@dataclass(frozen=True)
 class ContactMaterial:
     """Contact parameters of a link's geoms, in MuJoCo's terms; other engines use what they can."""
 
@@ -81,12 +93,19 @@ class RobotDescription:
         joint_names: Movable joints in the order of every joint vector.
         lower, upper: (n,) limits, rad.
         groups: Joint names by group, such as ``right_arm``, ``torso``, ``right_hand``.
-        actuators: In the order of every command vector.
+        actuators: In the order of every command vector: torso, neck, arms, each arm followed by its hand's nine, so the
+            last nine are those of the (only, or the right) hand.
         home: Joint positions at rest, rad; unlisted joints are 0.
         fingertips: Links by hand (``"right"``, ``"left"``): thumb, index, middle, ring, little.
         hand_frames: Frame of each hand that grasps are stated in.
+        hand_actuators: Actuator names by hand, in the order of observations and actions: hand_finger, thumb_oppose,
+            thumb_proximal, thumb_distal, index_proximal, index_distal, middle_proximal, middle_distal, pinky.
         dynamics, contacts: By joint, by link; absent names take the defaults.
         contact_excludes: Pairs of links that never collide.
+        capsule_links: Links whose every ``<cylinder>`` in the URDF stands for a capsule of that radius, whose end spheres
+            are centred on the cylinder's end faces (the length is the segment between them). The file says cylinder
+            because the parser that Pinocchio and Placo use refuses capsules; engines that know capsules turn them back.
+        coupled_joints: Joints that follow others rigidly.
         gravity_compensation: Whether the robot carries its own weight without effort.
     """
 
@@ -101,10 +120,13 @@ class RobotDescription:
     home: Mapping[str, float]
     fingertips: Mapping[str, tuple[str, ...]]
     hand_frames: Mapping[str, str]
+    hand_actuators: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     cameras: tuple[RobotCamera, ...] = ()
     dynamics: Mapping[str, JointDynamics] = field(default_factory=dict)
     contacts: Mapping[str, ContactMaterial] = field(default_factory=dict)
     contact_excludes: tuple[tuple[str, str], ...] = ()
+    capsule_links: frozenset[str] = frozenset()
+    coupled_joints: tuple[CoupledJoint, ...] = ()
     gravity_compensation: bool = True
 
     @property

@@ -1,0 +1,122 @@
+"""The iCub as data: assembles `RobotDescription` from the body's facts and the hands' table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from icub_core.errors import ConfigError, unknown_name
+from icub_core.robot_description import Actuator, ContactMaterial, RobotDescription
+from icub_robots import body
+from icub_robots.cache import store_text
+from icub_robots.hand_table import SIDES, Hand, load_hand
+from icub_robots.urdf import assemble, joint_limits, root_transform
+
+COUPLINGS = ("tendon", "equal_split")
+
+
+def describe(
+    hands: Sequence[str] = ("right",), limits: str = "ikin", coupling: str = "tendon", weld: bool = True
+) -> RobotDescription:
+    """Assemble the robot.
+
+    Args:
+        hands: Hands with fingers, ``"right"`` and/or ``"left"``.
+        limits: ``"ikin"`` (the limits that the real robot's arm solver uses) or ``"urdf"``.
+        coupling: ``"tendon"``: one actuator pulls the weighted sum of its joints, contact decides the split;
+            ``"equal_split"``: those joints also stay equal.
+        weld: Fix the legs, and each arm whose hand is not asked for, at the home pose; fewer joints, faster physics.
+
+    Raises:
+        ConfigError: An unknown hand, limit set or coupling.
+        DataError: icub-models is incomplete, or the cache folder cannot be written.
+    """
+    _check(hands, limits, coupling)
+    fingered = tuple(load_hand(side) for side in reversed(SIDES) if side in hands)  # the right hand comes last
+    arms = [side for side in reversed(SIDES) if side in hands or not weld]
+    legs = [] if weld else list(reversed(SIDES))
+    movable = [*body.TORSO, *body.NECK]
+    for side in arms:
+        movable += body.arm(side)
+        movable += next((hand.joints for hand in fingered if hand.side == side), ())
+    for side in legs:
+        movable += body.leg(side)
+    all_body = [*body.TORSO, *body.NECK, *(j for side in SIDES for j in (*body.arm(side), *body.leg(side)))]
+    welded = {joint: body.HOME.get(joint, 0.0) for joint in all_body if joint not in movable}
+    text = assemble(fingered, welded, body.LIMIT_SETS[limits])
+    ranges = joint_limits(text)
+    home = {**body.HOME, **{joint: q for hand in fingered for joint, q in hand.home.items()}}
+    return RobotDescription(
+        name="icub",
+        urdf=store_text(text, "icub", ".urdf"),
+        T_world_root=root_transform(),
+        joint_names=tuple(movable),
+        lower=np.array([ranges[joint][0] for joint in movable]),
+        upper=np.array([ranges[joint][1] for joint in movable]),
+        groups=_groups(arms, legs, fingered),
+        actuators=_actuators(arms, fingered, ranges),
+        home={joint: q for joint, q in home.items() if joint in movable},
+        fingertips={hand.side: hand.fingertips for hand in fingered},
+        hand_frames={side: f"{side[0]}_hand_dh_frame" for side in arms},
+        hand_actuators={hand.side: tuple(a.name for a in hand.actuators) for hand in fingered},
+        cameras=body.CAMERAS,
+        dynamics={
+            joint: dynamics
+            for source in (body.DYNAMICS, *(hand.dynamics for hand in fingered))
+            for joint, dynamics in source.items()
+            if joint in movable
+        },
+        contacts=_contacts(fingered),
+        contact_excludes=tuple(
+            pair
+            for hand in fingered
+            for pair in ((hand.palm_link, f"{hand.side[0]}_forearm"), *hand.contact_excludes)
+        ),
+        capsule_links=frozenset(
+            name for hand in fingered for name in (f"{hand.side[0]}_forearm", *(p.name for p in hand.phalanges))
+        ),
+        coupled_joints=tuple(c for hand in fingered for c in hand.equal_split) if coupling == "equal_split" else (),
+        gravity_compensation=True,
+    )
+
+
+def _check(hands: Sequence[str], limits: str, coupling: str) -> None:
+    for side in hands:
+        if side not in SIDES:
+            raise ConfigError(unknown_name("hand", side, SIDES))
+    if limits not in body.LIMIT_SETS:
+        raise ConfigError(unknown_name("set of joint limits", limits, body.LIMIT_SETS))
+    if coupling not in COUPLINGS:
+        raise ConfigError(unknown_name("finger coupling", coupling, COUPLINGS))
+
+
+def _groups(arms: Sequence[str], legs: Sequence[str], hands: Sequence[Hand]) -> dict[str, tuple[str, ...]]:
+    groups = {"torso": body.TORSO, "neck": body.NECK, "head": body.NECK}
+    for side in arms:
+        groups[f"{side}_arm"] = body.arm(side)
+        groups[f"{side}_reach"] = (*body.TORSO, *body.arm(side))
+    groups.update({f"{hand.side}_hand": hand.joints for hand in hands})
+    groups.update({f"{side}_leg": body.leg(side) for side in legs})
+    return groups
+
+
+def _actuators(
+    arms: Sequence[str], hands: Sequence[Hand], ranges: Mapping[str, tuple[float, float]]
+) -> tuple[Actuator, ...]:
+    def servo(joint: str) -> Actuator:
+        q = body.HOME.get(joint, 0.0)
+        return Actuator(joint, {joint: 1.0}, body.KP[joint], ranges[joint], open=q, close=q)
+
+    actuators = [servo(joint) for joint in (*body.TORSO, *body.NECK)]
+    for side in arms:
+        actuators += [servo(joint) for joint in body.arm(side)]
+        actuators += next((hand.actuators for hand in hands if hand.side == side), ())
+    return tuple(actuators)
+
+
+def _contacts(hands: Sequence[Hand]) -> dict[str, ContactMaterial]:
+    contacts: dict[str, ContactMaterial] = {}
+    for hand in hands:
+        contacts.update(hand.materials)
+    return contacts
