@@ -1,0 +1,1 @@
+"""Object sets: what can be put on the table."""

@@ -1,0 +1,89 @@
+"""The user's own meshes."""
+
+from __future__ import annotations
+
+import zlib
+from pathlib import Path
+
+import numpy as np
+from icub_core.errors import ConfigError, DataError, unknown_name
+from icub_core.interfaces.object_set import ObjectSet
+from icub_core.scene import Material, ObjectSpec
+
+from icub_simulators.objects.meshes import MESH_SUFFIXES, check_size, convex_pieces, read_mesh, solid_object
+from icub_simulators.objects.textures import PATTERNS, print_texture, random_ink
+
+
+class Folder(ObjectSet):
+    """Every OBJ and STL file of a folder (and its sub-folders), one object each, named by its path without suffix.
+
+    A mesh need not be watertight: it is decomposed into convex pieces (CoACD) once, and the pieces are kept in the
+    cache under a hash of the mesh. It is drawn as it is, in a colour derived from its name.
+
+    Args:
+        path: The folder.
+        scale: Factor from the files' unit to metres; 0.001 for millimetres.
+        density: kg/m^3 of the pieces.
+        pieces: Largest number of convex pieces; 1 takes the hull.
+        concavity: Allowed error of the decomposition, share of the object's size.
+        friction: Sliding friction coefficient.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        scale: float = 1.0,
+        density: float = 500.0,
+        pieces: int = 16,
+        concavity: float = 0.05,
+        friction: float = 0.5,
+    ) -> None:
+        self._root = Path(path).expanduser()
+        if not self._root.is_dir():
+            raise DataError(f"object folder {self._root} does not exist; expected a folder with OBJ or STL files")
+        for what, value in (("scale", scale), ("density", density), ("pieces", pieces), ("concavity", concavity)):
+            if not value > 0:
+                raise ConfigError(f"folder {what} is {value}; expected a number above 0")
+        self._scale, self._density, self._pieces, self._concavity = scale, density, pieces, concavity
+        self._friction = friction
+        files = sorted(p for p in self._root.rglob("*") if p.suffix.lower() in MESH_SUFFIXES and p.is_file())
+        self._files: dict[str, Path] = {}
+        for file in files:
+            name = file.relative_to(self._root).with_suffix("").as_posix().replace("/", "_")
+            if name in self._files:
+                raise DataError(f"{self._files[name]} and {file} would both be object '{name}'; rename one of them")
+            self._files[name] = file
+        if not self._files:
+            raise DataError(
+                f"object folder {self._root} has no mesh; expected files ending in {', '.join(MESH_SUFFIXES)}"
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in alphabetical order of the files."""
+        return tuple(self._files)
+
+    def get(self, name: str) -> ObjectSpec:
+        """Build one object.
+
+        Raises:
+            ConfigError: For a name that is not in the folder.
+            DataError: For a mesh that cannot be used, naming the file and what is wrong.
+        """
+        if name not in self._files:
+            raise ConfigError(unknown_name(f"object in {self._root}", name, self._files))
+        path = self._files[name]
+        vertices, faces = read_mesh(path)
+        vertices = vertices * self._scale
+        check_size(path, vertices)
+        rng = np.random.default_rng(zlib.crc32(name.encode()))
+        pattern = PATTERNS[int(rng.integers(len(PATTERNS)))]
+        return solid_object(
+            name,
+            convex_pieces(vertices, faces, self._pieces, self._concavity),
+            surface=(vertices, faces),
+            density=self._density,
+            mass=None,
+            material=Material(texture=print_texture(pattern, random_ink(rng), random_ink(rng), 0)),
+            friction=(self._friction, 0.005, 0.0001),
+        )

@@ -1,0 +1,184 @@
+"""Reading meshes: convex pieces in metres, and one clear line for a file that cannot be used."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+from icub_core.errors import DataError
+from icub_core.scene import Geom, Material, ObjectSpec, Vec3
+from numpy.typing import NDArray
+
+from icub_simulators.cache import Arrays, cache_folder, cached_arrays, content_key
+from icub_simulators.objects.solids import center_of_mass, hull_volume, rest_pose
+
+logger = logging.getLogger(__name__)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MESH_SUFFIXES = (".obj", ".stl")
+LARGEST_OBJECT = 2.0
+"""Metres; more is taken for a mesh in millimetres."""
+SMALLEST_OBJECT = 2e-3
+MOST_FACES = 2_000_000
+SPECK = 2e-3
+"""Pieces below this share of the volume are left out of the collision shape."""
+
+
+def read_mesh(path: Path) -> tuple[FloatArray, IntArray]:
+    """Read vertices (V, 3) and triangles (F, 3) of an OBJ or STL file, in the file's unit.
+
+    Raises:
+        DataError: For a missing, unreadable, empty, faceless or far too large file, or vertices that are not finite.
+    """
+    import trimesh
+
+    if not path.is_file():
+        raise DataError(f"no mesh file {path}")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise DataError(f"mesh {path} has suffix '{path.suffix}'; expected one of {', '.join(MESH_SUFFIXES)}")
+    if path.stat().st_size == 0:
+        raise DataError(f"mesh {path} is empty")
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        vertices = np.asarray(mesh.vertices, dtype=np.float64)
+        faces = np.asarray(mesh.faces, dtype=np.int64)
+    except Exception as error:  # the readers raise whatever the broken file provokes
+        raise DataError(
+            f"mesh {path} cannot be read: {str(error).splitlines()[0] if str(error) else type(error)}"
+        ) from error
+    if faces.ndim != 2 or len(faces) == 0:
+        raise DataError(f"mesh {path} has no faces; expected at least 4 triangles")
+    if len(faces) > MOST_FACES:
+        raise DataError(f"mesh {path} has {len(faces)} faces; expected at most {MOST_FACES}: decimate it first")
+    used = np.unique(faces)
+    if used[-1] >= len(vertices):
+        raise DataError(f"mesh {path} names vertex {used[-1] + 1} of {len(vertices)}")
+    if not np.all(np.isfinite(vertices[used])):
+        raise DataError(f"mesh {path} has vertices that are not finite numbers")
+    remap = np.zeros(len(vertices), dtype=np.int64)
+    remap[used] = np.arange(len(used))
+    return vertices[used], remap[faces]
+
+
+def check_size(path: Path, points: FloatArray) -> None:
+    """Raise DataError unless the points, in metres, are of a size that a hand or a table can deal with."""
+    extents = np.ptp(points, axis=0)
+    largest = float(extents.max())
+    if largest > LARGEST_OBJECT:
+        raise DataError(
+            f"mesh {path} is {largest:.3g} m long; expected at most {LARGEST_OBJECT} m. "
+            "Did you mean millimetres? Then give scale=0.001"
+        )
+    if largest < SMALLEST_OBJECT:
+        raise DataError(
+            f"mesh {path} is {largest:.3g} m long; expected at least {SMALLEST_OBJECT} m: give a larger scale"
+        )
+    if hull_volume(points) < 1e-4 * largest**3:
+        raise DataError(f"mesh {path} is flat ({', '.join(f'{e:.3g}' for e in extents)} m); expected a solid body")
+
+
+def convex_pieces(vertices: FloatArray, faces: IntArray, most: int, concavity: float) -> list[FloatArray]:
+    """Decompose a mesh into at most `most` convex pieces (CoACD), kept by content hash.
+
+    Args:
+        vertices: (V, 3).
+        faces: (F, 3).
+        most: Largest number of pieces; 1 gives the hull.
+        concavity: Allowed error, share of the object's size.
+
+    Returns:
+        Vertices of each piece, (N_i, 3), in the unit of `vertices`.
+    """
+    if most == 1:
+        return [vertices]
+    key = content_key(vertices.tobytes(), faces.tobytes(), most, concavity, "coacd-1")
+
+    def compute() -> Arrays:
+        import coacd
+
+        logger.info("decomposing a mesh of %d faces into convex pieces (kept for the next time)", len(faces))
+        coacd.set_log_level("error")
+        parts = coacd.run_coacd(coacd.Mesh(vertices, faces), threshold=concavity, max_convex_hull=most, seed=0)
+        return {f"{i:04d}": np.asarray(part[0], dtype=np.float64) for i, part in enumerate(parts)}
+
+    arrays = cached_arrays("convex", key, compute)
+    return [arrays[name] for name in sorted(arrays)]
+
+
+def solid_object(
+    name: str,
+    pieces: list[FloatArray],
+    *,
+    surface: tuple[FloatArray, IntArray] | None,
+    density: float | None,
+    mass: float | None,
+    material: Material,
+    friction: Vec3,
+) -> ObjectSpec:
+    """Turn convex pieces in metres into an object: origin at the centre of its box, lowest stable rest pose.
+
+    Args:
+        name: Of the object.
+        pieces: (N_i, 3) vertices of each convex piece.
+        surface: Vertices and faces to draw; None draws the pieces.
+        density: kg/m^3 of the hull's volume, where `mass` is None.
+        mass: kg.
+        material: Look.
+        friction: Sliding, torsional, rolling.
+    """
+    total = sum(hull_volume(p) for p in pieces)
+    pieces = [p for p in pieces if hull_volume(p) > SPECK * total] or pieces
+    everything = np.concatenate(pieces)
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    middle = (low + high) / 2
+    pieces = [p - middle for p in pieces]
+    everything = everything - middle
+    rest = rest_pose(everything, center_of_mass(pieces))
+    if mass is None:
+        mass = (density or 0.0) * sum(hull_volume(p) for p in pieces)
+    visual: tuple[Geom, ...] = ()
+    if surface is not None:
+        visual = (Geom("mesh", mesh=_write_obj(surface[0] - middle, surface[1])),)
+    half = (high - low) / 2
+    return ObjectSpec(
+        name=name,
+        collision=tuple(Geom("mesh", mesh=_write_hull(p)) for p in pieces),
+        visual=visual,
+        mass=mass,
+        half_extents=(float(half[0]), float(half[1]), float(half[2])),
+        rest_height=rest.height,
+        rest_quat_wxyz=rest.quat_wxyz,
+        material=material,
+        friction=friction,
+    )
+
+
+def _write_hull(points: FloatArray) -> Path:
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(points)
+    order = np.full(len(points), -1)
+    order[hull.vertices] = np.arange(len(hull.vertices))
+    faces = order[hull.simplices]
+    corners = points[hull.vertices]
+    # qhull leaves the winding open; outward is where the facet's normal points
+    a, b, c = (corners[faces[:, i]] for i in range(3))
+    flip = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[flip] = faces[flip][:, ::-1]
+    return _write_obj(corners, faces)
+
+
+def _write_obj(vertices: FloatArray, faces: NDArray[np.integer]) -> Path:
+    """Write an OBJ into the cache under its content's hash (every loader reads files) and return its path."""
+    lines = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in vertices]
+    lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
+    text = "\n".join(lines) + "\n"
+    path = cache_folder("pieces") / f"{content_key(text)}.obj"
+    if not path.exists():
+        from icub_core.files import write_text_atomically
+
+        write_text_atomically(path, text)
+    return path

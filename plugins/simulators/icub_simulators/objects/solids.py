@@ -1,0 +1,122 @@
+"""Geometry of convex pieces: volumes, hulls, and the pose in which a body comes to rest on a table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from icub_core.errors import DataError
+from icub_core.geometry import matrix_to_quat_wxyz
+from icub_core.scene import QuatWxyz
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+FloatArray = NDArray[np.float64]
+
+STABLE_TILT = np.deg2rad(8.0)
+"""A rest pose has to withstand being tilted by this much."""
+COPLANAR = 1e-3
+"""Hull triangles whose unit normals differ by less belong to one facet."""
+
+
+@dataclass(frozen=True)
+class RestPose:
+    """How a body stands: T_world_object has this rotation, and the origin this height above the table."""
+
+    quat_wxyz: QuatWxyz
+    height: float
+
+
+def hull_volume(points: FloatArray) -> float:
+    """Volume of the convex hull of (N, 3) points, cubic metres; 0 for flat ones."""
+    try:
+        return float(ConvexHull(points).volume)
+    except (QhullError, ValueError):
+        return 0.0
+
+
+def center_of_mass(pieces: list[FloatArray]) -> FloatArray:
+    """Centre of mass (3,) of convex pieces, each (N_i, 3), at one density."""
+    total, moment = 0.0, np.zeros(3)
+    for points in pieces:
+        hull = ConvexHull(points)
+        middle = points[hull.vertices].mean(axis=0)
+        tetrahedra = points[hull.simplices] - middle  # (T, 3, 3): with `middle` as fourth corner
+        volumes = np.abs(np.linalg.det(tetrahedra)) / 6
+        total += float(volumes.sum())
+        moment += (volumes[:, None] * (tetrahedra.sum(axis=1) / 4 + middle)).sum(axis=0)
+    return moment / total
+
+
+def rest_pose(points: FloatArray, center: FloatArray) -> RestPose:
+    """Find the lowest stable pose on a horizontal plane.
+
+    Every facet of the hull is a candidate; it is stable when the centre of mass lies above it with a margin that
+    withstands a tilt of `STABLE_TILT`. Of the stable ones the one with the lowest centre of mass is taken; where none
+    is stable, the one with the largest margin.
+
+    Args:
+        points: (N, 3) points of the body, in its frame, metres.
+        center: (3,) centre of mass.
+
+    Raises:
+        DataError: When the points span no volume.
+    """
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError) as error:
+        raise DataError("the points span no volume; a rest pose needs a solid body") from error
+    normals = hull.equations[:, :3]
+    heights = -(hull.equations[:, 3] + normals @ center)  # of the centre of mass above each triangle's plane
+    seen = np.zeros(len(normals), dtype=bool)
+    best_tilt, normal = -np.inf, normals[0]
+    for index in np.argsort(heights, kind="stable"):  # lowest first: the first stable one is the answer
+        if seen[index]:
+            continue
+        facet = ~seen & (np.abs(normals - normals[index]).max(axis=1) < COPLANAR)
+        seen |= facet
+        margin = _margin(points[np.unique(hull.simplices[facet])], normals[index], center)
+        tilt = float(np.arctan2(margin, heights[index]))
+        if tilt > best_tilt:
+            best_tilt, normal = tilt, normals[index]
+        if tilt >= STABLE_TILT:
+            break
+    R = rotation_taking(normal, np.array([0.0, 0.0, -1.0]))
+    quat = matrix_to_quat_wxyz(R)
+    height = -float((points @ R.T)[:, 2].min())
+    return RestPose((float(quat[0]), float(quat[1]), float(quat[2]), float(quat[3])), height)
+
+
+def rotation_taking(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a rotation (3, 3) with R a = b for unit vectors (the shortest one, where it is unique)."""
+    cosine = float(a @ b)
+    if cosine < -1 + 1e-9:
+        other = np.eye(3)[int(np.argmin(np.abs(a)))]
+        axis = np.cross(a, other)
+        axis /= np.linalg.norm(axis)
+        return 2 * np.outer(axis, axis) - np.eye(3)
+    x, y, z = np.cross(a, b)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + K + K @ K / (1 + cosine)
+
+
+def narrowest_width(points_xy: FloatArray) -> float:
+    """Smallest distance between two parallel lines that enclose (N, 2) points: what a hand has to span."""
+    corners = points_xy[ConvexHull(points_xy).vertices]
+    edges = np.roll(corners, -1, axis=0) - corners
+    normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    spans = corners @ normals.T  # (corners, edges): the narrowest strip has one side along an edge
+    return float((spans.max(axis=0) - spans.min(axis=0)).min())
+
+
+def _margin(facet: FloatArray, normal: FloatArray, center: FloatArray) -> float:
+    """Distance from the projected centre of mass to the nearest edge of the facet; negative outside of it."""
+    u = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+    u /= np.linalg.norm(u)
+    basis = np.stack([u, np.cross(normal, u)], axis=1)  # (3, 2)
+    try:
+        polygon = ConvexHull((facet - center) @ basis)
+    except (QhullError, ValueError):
+        return -np.inf
+    return float(-polygon.equations[:, 2].max())  # lines n x + d <= 0 inside; the centre is the origin
