@@ -1,0 +1,1 @@
+"""Kinematics solvers behind the robot interface."""
