@@ -50,6 +50,12 @@ class Robot(ABC):
     def jacobian(self, q: NDArray[np.float64], frame: str) -> NDArray[np.float64]:
         """Return the (6, n) Jacobian of `frame`: linear then angular velocity, in world axes at the frame's origin."""
 
+    def pose_and_jacobian(
+        self, q: NDArray[np.float64], frame: str
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return `forward_kinematics` and `jacobian` of one `q` (n,); a robot may answer both faster than one by one."""
+        return self.forward_kinematics(q, frame), self.jacobian(q, frame)
+
     @abstractmethod
     def inverse_kinematics(
         self,
