@@ -1,0 +1,180 @@
+"""FALKON: kernel ridge regression on Nystrom centres, in pure torch."""
+
+from __future__ import annotations
+
+import torch
+
+from icub_core.errors import CheckpointError, ConfigError, NotFittedError, unknown_name
+from icub_core.interfaces.online_head import OnlineHead
+from icub_segmenters.heads.centers import balanced_centers, check_selection, uniform_centers
+from icub_segmenters.heads.checks import check_samples, check_training_set
+from icub_segmenters.heads.conjugate_gradients import is_cheaper_than_direct, solve_by_conjugate_gradients
+from icub_segmenters.heads.kernels import make_kernel
+from icub_segmenters.heads.nystrom import NystromSystem, row_blocks
+from icub_segmenters.heads.products import fast_products
+
+SOLVERS = ("auto", "direct", "conjugate_gradients")
+
+
+class Falkon(OnlineHead):
+    """f(x) = sum_m alpha_m k(x, c_m) that minimises 1/n sum_i (f(x_i) - y_i)^2 + lambda |f|^2.
+
+    All problems (columns of Y) share samples, centres, kernel rows and the factorisation. Samples in float32 give
+    float32 kernel rows with the M x M algebra in float64; samples in float64 stay float64 throughout.
+
+    Source: thesis 5.2 (eq. 5.2 to 5.4); Rudi, Carratino, Rosasco, NIPS 2017. The regulariser is lambda n K_MM, as in
+    the FALKON library.
+    """
+
+    def __init__(
+        self,
+        kernel: str = "gaussian",
+        sigma: float = 15.0,
+        lam: float = 1e-5,
+        centers: int = 1000,
+        selection: str = "uniform",
+        solver: str = "auto",
+        seed: int = 0,
+        device: str = "cpu",
+    ) -> None:
+        """Configure; nothing is computed.
+
+        Args:
+            kernel: ``"gaussian"``, ``"laplacian"`` or ``"linear"``.
+            sigma: Width of the kernel.
+            lam: Regulariser lambda; it is multiplied by the number of samples.
+            centers: Number M of Nystrom centres; all samples where there are fewer.
+            selection: ``"uniform"``, or ``"balanced"``: up to half of the centres positives (thesis 5.3).
+            solver: ``"direct"`` (Cholesky), ``"conjugate_gradients"``, or ``"auto"``: what costs less.
+            seed: Decides the centres.
+            device: Where to compute, such as ``"cpu"`` or ``"cuda"``.
+        """
+        if not lam > 0:
+            raise ConfigError(f"lam is {lam}; expected a regulariser above 0")
+        if centers < 1:
+            raise ConfigError(f"centers is {centers}; expected at least 1")
+        if solver not in SOLVERS:
+            raise ConfigError(unknown_name("solver", solver, SOLVERS))
+        check_selection(selection)
+        self.kernel = make_kernel(kernel, sigma)
+        self.lam = lam
+        self.number_of_centers = centers
+        self.selection = selection
+        self.solver = solver
+        self.seed = seed
+        self.device = torch.device(device)
+        self.centers: torch.Tensor | None = None
+        self.alpha: torch.Tensor | None = None
+        self._center_squares: torch.Tensor | None = None
+        self._system: NystromSystem | None = None
+
+    def fit(
+        self,
+        X: torch.Tensor,
+        Y: torch.Tensor,
+        sample_weight: torch.Tensor | None = None,
+        centers: torch.Tensor | None = None,
+    ) -> None:
+        """Train on X (n, d) and Y (n, t), forgetting what was before.
+
+        Args:
+            X: Samples.
+            Y: Targets, usually +1 and -1.
+            sample_weight: (n,); weight 2 counts as the same sample twice, also in lambda n.
+            centers: (M, d) centres to use instead of drawing them from X.
+        """
+        check_training_set(X, Y, sample_weight, who="falkon")
+        if centers is None:
+            centers = X[self.choose_centers(Y)]
+        else:
+            check_samples(centers, X.shape[1], who="falkon centres")
+        precision = torch.float64 if X.dtype == torch.float64 else torch.float32  # half is too coarse to compute in
+        centers = centers.to(self.device, precision, copy=True)
+        with fast_products(self.device):
+            if self._use_conjugate_gradients(len(X), len(centers), Y.shape[1]):
+                X, Y = X.to(self.device), Y.to(self.device)
+                weight = None if sample_weight is None else sample_weight.to(self.device)
+                alpha = solve_by_conjugate_gradients(X, Y, centers, self.kernel, self.lam, weight)
+                self._set(centers, alpha, None)
+                return
+            system = NystromSystem(centers, self.kernel, Y.shape[1])
+            system.add(X, Y.to(self.device), None if sample_weight is None else sample_weight.to(self.device))
+            self.adopt(system)
+
+    def choose_centers(self, Y: torch.Tensor) -> torch.Tensor:
+        """Draw the indices of the centres among samples with targets Y (n, t)."""
+        generator = torch.Generator().manual_seed(self.seed)
+        if self.selection == "balanced":
+            return balanced_centers(Y.cpu(), self.number_of_centers, generator)
+        return uniform_centers(len(Y), self.number_of_centers, generator)
+
+    def adopt(self, system: NystromSystem) -> None:
+        """Solve `system` and take over its solution: for callers that sum up the equations themselves."""
+        with fast_products(self.device):
+            self._set(system.centers, system.solve(self.lam), system)
+
+    def partial_fit(self, X: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
+        """Add samples X (n, d) to those fitted, centres unchanged; equals a fit on all of them with these centres.
+
+        Y (n, t') may have more columns than before: the new problems take every earlier sample as a negative (-1).
+        Before the first fit this is `fit`.
+
+        Raises:
+            ConfigError: When conjugate gradients were used, which keep no sums to add to.
+        """
+        if self.alpha is None:
+            self.fit(X, Y, sample_weight)
+            return
+        if self._system is None:
+            raise ConfigError("partial_fit needs solver='direct' and a head that was fitted in this process")
+        check_training_set(X, Y, sample_weight, who="falkon")
+        check_samples(X, self._system.centers.shape[1], who="falkon")
+        known = self._system.problems
+        if Y.shape[1] < known:
+            raise ConfigError(f"partial_fit got {Y.shape[1]} problems; expected at least the {known} fitted")
+        with fast_products(self.device):
+            self._system.add_problems(Y.shape[1] - known)
+            weight = None if sample_weight is None else sample_weight.to(self.device)
+            self._system.add(X, Y.to(self.device), weight)
+        self.adopt(self._system)
+
+    def decision_function(self, X: torch.Tensor) -> torch.Tensor:
+        """Return scores (n, t) of X (n, d), on X's device."""
+        centers, alpha = self._fitted()
+        check_samples(X, centers.shape[1], who="falkon")
+        scores = torch.empty(len(X), alpha.shape[1], dtype=alpha.dtype, device=X.device)
+        with fast_products(self.device):
+            for block in row_blocks(len(X), len(centers), centers.element_size()):
+                K = self.kernel(X[block].to(centers), centers, self._center_squares)
+                scores[block] = (K @ alpha).to(X.device)
+        return scores
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return centres (M, d) and coefficients alpha (M, t)."""
+        centers, alpha = self._fitted()
+        return {"centers": centers.cpu(), "alpha": alpha.cpu()}
+
+    def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
+        """Take over centres and coefficients."""
+        if set(state) != {"centers", "alpha"}:
+            raise CheckpointError(f"falkon: the state has {sorted(state)}; expected ['alpha', 'centers']")
+        centers, alpha = state["centers"], state["alpha"]
+        if centers.ndim != 2 or alpha.ndim != 2 or len(centers) != len(alpha):
+            raise CheckpointError(
+                f"falkon: centers {tuple(centers.shape)} and alpha {tuple(alpha.shape)}; expected (M, d) and (M, t)"
+            )
+        self._set(centers.to(self.device, copy=True), alpha.to(self.device, copy=True), None)
+
+    def _use_conjugate_gradients(self, n: int, M: int, problems: int) -> bool:
+        if self.solver == "auto":
+            return is_cheaper_than_direct(n, M, problems)
+        return self.solver == "conjugate_gradients"
+
+    def _set(self, centers: torch.Tensor, alpha: torch.Tensor, system: NystromSystem | None) -> None:
+        self.centers, self.alpha, self._system = centers, alpha, system
+        self._center_squares = (centers * centers).sum(dim=1)
+
+    def _fitted(self) -> tuple[torch.Tensor, torch.Tensor]:
+        if self.centers is None or self.alpha is None:
+            raise NotFittedError("falkon was asked for scores before it was fitted")
+        return self.centers, self.alpha
