@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import torch
-
 from icub_core.errors import CheckpointError, ConfigError, NotFittedError, unknown_name
 from icub_core.interfaces.online_head import OnlineHead
+
 from icub_segmenters.heads.centers import balanced_centers, check_selection, uniform_centers
 from icub_segmenters.heads.checks import check_samples, check_training_set
 from icub_segmenters.heads.conjugate_gradients import is_cheaper_than_direct, solve_by_conjugate_gradients

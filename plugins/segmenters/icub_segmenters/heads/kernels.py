@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import torch
-
 from icub_core.errors import ConfigError, unknown_name
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import torch
-
 from icub_core.errors import DataError
+
 from icub_segmenters.heads.kernels import Kernel
 
 BLOCK_BYTES = 32 * 2**20
@@ -82,12 +82,13 @@ class NystromSystem:
         """
         self.kernel = kernel
         self._set_centers(centers)
-        M, exact = len(centers), {"dtype": torch.float64, "device": centers.device}
+        M = len(centers)
         self.offset: torch.Tensor | None = None  # (M,), subtracted from the columns of K
-        self.gram = torch.zeros(M, M, **exact)  # of the shifted columns, as are the next two
-        self.right_side = torch.zeros(M, problems, **exact)
-        self.row_sum = torch.zeros(M, **exact)
-        self.target_sum = torch.zeros(problems, **exact)
+        # of the shifted columns, as are the next two
+        self.gram = torch.zeros(M, M, dtype=torch.float64, device=centers.device)
+        self.right_side = self.gram.new_zeros(M, problems)
+        self.row_sum = self.gram.new_zeros(M)
+        self.target_sum = self.gram.new_zeros(problems)
         self.weight = 0.0
 
     @property
