@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 from icub_core.errors import DataError
+from icub_core.geometry import quat_wxyz_to_matrix
 from icub_core.scene import Geom, Material, ObjectSpec, Vec3
 from numpy.typing import NDArray
 
 from icub_simulators.cache import Arrays, cache_folder, cached_arrays, content_key
-from icub_simulators.objects.solids import center_of_mass, hull_volume, rest_pose
+from icub_simulators.objects.solids import RestPose, center_of_mass, hull_volume, rest_pose
 
 logger = logging.getLogger(__name__)
 
@@ -43,8 +44,8 @@ def read_mesh(path: Path) -> tuple[FloatArray, IntArray]:
         raise DataError(f"mesh {path} is empty")
     try:
         mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
-        vertices = np.asarray(mesh.vertices, dtype=np.float64)
-        faces = np.asarray(mesh.faces, dtype=np.int64)
+        vertices = np.asarray(getattr(mesh, "vertices", []), dtype=np.float64)  # a file of points gives no mesh
+        faces = np.asarray(getattr(mesh, "faces", []), dtype=np.int64)
     except Exception as error:  # the readers raise whatever the broken file provokes
         raise DataError(
             f"mesh {path} cannot be read: {str(error).splitlines()[0] if str(error) else type(error)}"
@@ -117,8 +118,9 @@ def solid_object(
     mass: float | None,
     material: Material,
     friction: Vec3,
+    rest: RestPose | None = None,
 ) -> ObjectSpec:
-    """Turn convex pieces in metres into an object: origin at the centre of its box, lowest stable rest pose.
+    """Turn convex pieces in metres into an object whose origin is the centre of its box.
 
     Args:
         name: Of the object.
@@ -128,6 +130,7 @@ def solid_object(
         mass: kg.
         material: Look.
         friction: Sliding, torsional, rolling.
+        rest: How it stands (its height is taken anew); None takes the lowest stable pose.
     """
     total = sum(hull_volume(p) for p in pieces)
     pieces = [p for p in pieces if hull_volume(p) > SPECK * total] or pieces
@@ -136,7 +139,9 @@ def solid_object(
     middle = (low + high) / 2
     pieces = [p - middle for p in pieces]
     everything = everything - middle
-    rest = rest_pose(everything, center_of_mass(pieces))
+    if rest is None:
+        rest = rest_pose(everything, center_of_mass(pieces))
+    lowest = float((everything @ quat_wxyz_to_matrix(rest.quat_wxyz)[2]).min())
     if mass is None:
         mass = (density or 0.0) * sum(hull_volume(p) for p in pieces)
     visual: tuple[Geom, ...] = ()
@@ -149,7 +154,7 @@ def solid_object(
         visual=visual,
         mass=mass,
         half_extents=(float(half[0]), float(half[1]), float(half[2])),
-        rest_height=rest.height,
+        rest_height=-lowest,
         rest_quat_wxyz=rest.quat_wxyz,
         material=material,
         friction=friction,

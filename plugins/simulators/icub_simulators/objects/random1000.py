@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from icub_simulators.cache import Arrays, cached_arrays, content_key
 from icub_simulators.objects.meshes import solid_object
-from icub_simulators.objects.solids import center_of_mass, hull_volume, narrowest_width, rest_pose
+from icub_simulators.objects.solids import (
+    STABLE_TILT,
+    RestPose,
+    center_of_mass,
+    hull_volume,
+    narrowest_width,
+    stable_poses,
+)
 from icub_simulators.objects.textures import PATTERNS, print_texture, random_ink
 
 logger = logging.getLogger(__name__)
@@ -31,26 +38,29 @@ MASS = 0.1
 DENSITY = 500.0
 """kg/m^3 of a resized object; between a full cracker box (210) and a full can (1000)."""
 MOST_PIECES = 16
-GRASPABLE_WIDTH = (0.038, 0.066)
-"""Metres between thumb and fingers that the iCub's hand was seen to hold."""
-GRASPABLE_HEIGHT = (0.055, 0.25)
+HAND_WIDTH = (0.040, 0.062)
+"""Metres that a resized object leaves between thumb and fingers; 38 to 66 mm were seen to be held."""
+HAND_HEIGHT = (0.050, 0.25)
 """Lower objects leave no room for the fingers above the table; higher ones topple."""
+HAND_LENGTH = (0.07, 0.22)
+"""Metres of the largest extent of a resized object, where the caller names none."""
 COUNT = 1000
 BROKEN = (168,)
 """Files without a single finite vertex."""
 
 
 class Random1000(ObjectSet):
-    """Random household-like shapes of ``pybullet_data/random_urdfs``, with procedural colours and prints.
+    """Random shapes of ``pybullet_data/random_urdfs``, with procedural colours and prints.
 
-    Names are ``random_000`` to ``random_999`` without 168, whose file holds no number. Rest pose: the lowest stable one of the hull. Objects of more than
-    16 convex pieces keep the largest 16.
+    Names are ``random_000`` to ``random_999`` without 168, whose file holds no number. Objects of more than 16 convex
+    pieces keep the largest 16. At their true size (8 to 18 cm wide) few of them fit a hand.
 
     Args:
         size: Lowest and highest largest extent in metres; each object is resized to a length drawn in between (always
             the same for one object and range) and weighs 500 kg/m^3. None keeps the true size and 0.1 kg.
-        graspable: Keep only objects that the iCub's hand can span from above or from the side in their rest pose:
-            narrowest horizontal width 38 to 66 mm, height 55 to 250 mm.
+        graspable: Resize each object for the iCub's hand instead: in the lowest stable pose that allows it, its
+            narrowest horizontal width is 40 to 62 mm (drawn once an object), its height 50 to 250 mm and its largest
+            extent within `size` (7 to 22 cm where none is given). Objects that cannot be are left out.
     """
 
     def __init__(self, size: list[float] | None = None, graspable: bool = False) -> None:
@@ -66,31 +76,20 @@ class Random1000(ObjectSet):
         everything = tuple(f"random_{i:03d}" for i in range(COUNT) if i not in BROKEN)
         if not self._graspable:
             return everything
-        key = content_key("graspable-2", *(self._size or (0.0,)), *GRASPABLE_WIDTH, *GRASPABLE_HEIGHT)
-        chosen = cached_arrays(
-            "random1000", key, lambda: {"keep": np.array([self._can_be_held(n) for n in everything])}
-        )
-        return tuple(name for name, keep in zip(everything, chosen["keep"], strict=True) if keep)
+        key = content_key("graspable-3", *(self._size or HAND_LENGTH), *HAND_WIDTH, *HAND_HEIGHT)
+        keep = cached_arrays("random1000", key, lambda: self._choose(everything))["keep"]
+        return tuple(name for name, kept in zip(everything, keep, strict=True) if kept)
 
     def get(self, name: str) -> ObjectSpec:
         """Build one object; raises ConfigError for a name that is not in the set."""
         if name not in self.names:
             raise ConfigError(unknown_name("object in 'random1000'", name, self.names))
-        return _build(self._root, name, self._size)
+        return _build(self._root, name, self._size, self._graspable)
 
     def _choose(self, names: tuple[str, ...]) -> Arrays:
         logger.info("looking for graspable ones among %d random objects (kept for the next time)", len(names))
-        return {"keep": np.array([self._can_be_held(name) for name in names])}
-
-    def _can_be_held(self, name: str) -> bool:
-        pieces = _scaled_pieces(self._root, name, self._size)
-        points = np.concatenate(pieces)
-        rest = rest_pose(points, center_of_mass(pieces))
-        standing = points @ quat_wxyz_to_matrix(rest.quat_wxyz).T
-        width, height = narrowest_width(standing[:, :2]), float(np.ptp(standing[:, 2]))
-        return (
-            GRASPABLE_WIDTH[0] <= width <= GRASPABLE_WIDTH[1] and GRASPABLE_HEIGHT[0] <= height <= GRASPABLE_HEIGHT[1]
-        )
+        fits = [_fit_to_hand(name, _read_pieces(self._root, name), self._size or HAND_LENGTH) for name in names]
+        return {"keep": np.array([fit is not None for fit in fits])}
 
 
 def _data_root() -> Path:
@@ -104,8 +103,8 @@ def _seed(name: str, purpose: str) -> int:
     return zlib.crc32(f"{purpose} {name}".encode())
 
 
-def _scaled_pieces(root: Path, name: str, size: tuple[float, float] | None) -> list[FloatArray]:
-    """Read the convex pieces (the file holds them as groups), largest first, in metres."""
+def _read_pieces(root: Path, name: str) -> list[FloatArray]:
+    """Read the convex pieces (the file holds them as groups) at their true size, largest first, metres."""
     number = name.removeprefix("random_")
     path = root / number / f"{number}.obj"
     try:
@@ -121,25 +120,46 @@ def _scaled_pieces(root: Path, name: str, size: tuple[float, float] | None) -> l
     pieces = [FILE_UNIT * np.array(g) for g in groups]
     volumes = [hull_volume(p) for p in pieces]
     order = sorted(range(len(pieces)), key=lambda i: -volumes[i])[:MOST_PIECES]
-    pieces = [pieces[i] for i in order if volumes[i] > 0]
-    if size is not None:
-        length = np.random.default_rng(_seed(name, "size")).uniform(*size)
-        factor = length / float(np.ptp(np.concatenate(pieces), axis=0).max())
-        pieces = [factor * p for p in pieces]
-    return pieces
+    return [pieces[i] for i in order if volumes[i] > 0]
+
+
+def _fit_to_hand(name: str, pieces: list[FloatArray], length: tuple[float, float]) -> tuple[float, RestPose] | None:
+    """Find the scale and the lowest stable pose in which the hand can span the object; None where there is none."""
+    points = np.concatenate(pieces)
+    wanted = np.random.default_rng(_seed(name, "width")).uniform(*HAND_WIDTH)
+    largest = float(np.ptp(points, axis=0).max())
+    for pose, tilt in stable_poses(points, center_of_mass(pieces)):
+        if tilt < STABLE_TILT:
+            continue
+        standing = points @ quat_wxyz_to_matrix(pose.quat_wxyz).T
+        factor = wanted / narrowest_width(standing[:, :2])
+        height = factor * float(np.ptp(standing[:, 2]))
+        if HAND_HEIGHT[0] <= height <= HAND_HEIGHT[1] and length[0] <= factor * largest <= length[1]:
+            return factor, pose
+    return None
 
 
 @lru_cache(maxsize=256)
-def _build(root: Path, name: str, size: tuple[float, float] | None) -> ObjectSpec:
+def _build(root: Path, name: str, size: tuple[float, float] | None, graspable: bool) -> ObjectSpec:
+    pieces = _read_pieces(root, name)
+    factor, rest = 1.0, None
+    if graspable:
+        fit = _fit_to_hand(name, pieces, size or HAND_LENGTH)
+        assert fit is not None  # `names` holds the others back
+        factor, rest = fit
+    elif size is not None:
+        length = np.random.default_rng(_seed(name, "size")).uniform(*size)
+        factor = length / float(np.ptp(np.concatenate(pieces), axis=0).max())
     rng = np.random.default_rng(_seed(name, "look"))
     pattern = PATTERNS[int(rng.integers(len(PATTERNS)))]
     texture = print_texture(pattern, random_ink(rng), random_ink(rng), _seed(name, "print"))
     return solid_object(
         name,
-        _scaled_pieces(root, name, size),
+        [factor * p for p in pieces],
         surface=None,
         density=DENSITY,
-        mass=MASS if size is None else None,
+        mass=MASS if size is None and not graspable else None,
         material=Material(texture=texture),
         friction=(0.5, 0.005, 0.0001),
+        rest=rest,
     )

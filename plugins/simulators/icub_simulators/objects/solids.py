@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,12 +49,11 @@ def center_of_mass(pieces: list[FloatArray]) -> FloatArray:
     return moment / total
 
 
-def rest_pose(points: FloatArray, center: FloatArray) -> RestPose:
-    """Find the lowest stable pose on a horizontal plane.
+def stable_poses(points: FloatArray, center: FloatArray) -> Iterator[tuple[RestPose, float]]:
+    """Yield the poses in which a body can stand on a horizontal plane, lowest centre of mass first, with their tilt.
 
-    Every facet of the hull is a candidate; it is stable when the centre of mass lies above it with a margin that
-    withstands a tilt of `STABLE_TILT`. Of the stable ones the one with the lowest centre of mass is taken; where none
-    is stable, the one with the largest margin.
+    Every facet of the hull is a candidate. The tilt is the angle by which the body can be turned about the facet's
+    nearest edge before it falls over; negative where it falls by itself.
 
     Args:
         points: (N, 3) points of the body, in its frame, metres.
@@ -69,22 +69,35 @@ def rest_pose(points: FloatArray, center: FloatArray) -> RestPose:
     normals = hull.equations[:, :3]
     heights = -(hull.equations[:, 3] + normals @ center)  # of the centre of mass above each triangle's plane
     seen = np.zeros(len(normals), dtype=bool)
-    best_tilt, normal = -np.inf, normals[0]
-    for index in np.argsort(heights, kind="stable"):  # lowest first: the first stable one is the answer
+    for index in np.argsort(heights, kind="stable"):
         if seen[index]:
             continue
         facet = ~seen & (np.abs(normals - normals[index]).max(axis=1) < COPLANAR)
         seen |= facet
         margin = _margin(points[np.unique(hull.simplices[facet])], normals[index], center)
-        tilt = float(np.arctan2(margin, heights[index]))
-        if tilt > best_tilt:
-            best_tilt, normal = tilt, normals[index]
+        R = rotation_taking(normals[index], np.array([0.0, 0.0, -1.0]))
+        w, x, y, z = (float(v) for v in matrix_to_quat_wxyz(R))
+        yield RestPose((w, x, y, z), -float((points @ R[2]).min())), float(np.arctan2(margin, heights[index]))
+
+
+def rest_pose(points: FloatArray, center: FloatArray) -> RestPose:
+    """Return the lowest pose that withstands `STABLE_TILT`, or the steadiest one where none does.
+
+    Args:
+        points: (N, 3) points of the body, in its frame, metres.
+        center: (3,) centre of mass.
+
+    Raises:
+        DataError: When the points span no volume.
+    """
+    best, best_tilt = None, -np.inf
+    for pose, tilt in stable_poses(points, center):
         if tilt >= STABLE_TILT:
-            break
-    R = rotation_taking(normal, np.array([0.0, 0.0, -1.0]))
-    quat = matrix_to_quat_wxyz(R)
-    height = -float((points @ R.T)[:, 2].min())
-    return RestPose((float(quat[0]), float(quat[1]), float(quat[2]), float(quat[3])), height)
+            return pose
+        if best is None or tilt > best_tilt:
+            best, best_tilt = pose, tilt
+    assert best is not None  # a hull has facets
+    return best
 
 
 def rotation_taking(a: FloatArray, b: FloatArray) -> FloatArray:
