@@ -83,7 +83,7 @@ def visible_instances(picture: Rendering, names: Sequence[str], targets: Sequenc
     return tuple(found)
 
 
-def test_pictures(
+def tabletop_pictures(
     simulator: Simulator,
     robot: RobotDescription | None,
     targets: Sequence[ObjectSpec],

@@ -1,0 +1,66 @@
+"""Settings of the main pipeline, typed; the group `pipeline` of the configuration is checked against them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass
+class TeachSettings:
+    """What is shown to the robot.
+
+    Attributes:
+        objects: Names from the object set, in the order of showing.
+        frames: Pictures of each.
+    """
+
+    objects: list[str] = field(
+        default_factory=lambda: [
+            "004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle", "010_potted_meat_can", "021_bleach_cleanser",
+        ]  # fmt: skip
+    )
+    frames: int = 60
+
+
+@dataclass
+class SeeSettings:
+    """The examination.
+
+    Attributes:
+        frames: Test pictures.
+        strangers: Objects that are never taught but stand about, drawn from the object set and `random1000`.
+    """
+
+    frames: int = 50
+    strangers: int = 12
+
+
+@dataclass
+class GraspSettings:
+    """The grasping stage.
+
+    Attributes:
+        target: Object to grasp, from the object set.
+        episodes: Evaluation episodes after learning.
+        video_episodes: The last of them that are filmed.
+        worlds: Simulated worlds side by side.
+        starts: Planned starts that each world keeps while a policy learns; evaluation always plans afresh.
+        threads: Threads that step physics.
+    """
+
+    target: str = "006_mustard_bottle"
+    episodes: int = 20
+    video_episodes: int = 3
+    worlds: int = 8
+    starts: int = 24
+    threads: int = 2
+
+
+@dataclass
+class MainSettings:
+    """Stages of the main job."""
+
+    name: str = "main"
+    teach: TeachSettings = field(default_factory=TeachSettings)
+    see: SeeSettings = field(default_factory=SeeSettings)
+    grasp: GraspSettings = field(default_factory=GraspSettings)
