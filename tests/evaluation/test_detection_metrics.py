@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from icub_core.data import Instance
 from icub_core.errors import ConfigError, DataError
 from icub_core.evaluation.detection import evaluate_instances

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 
 from icub_core.data import Instance, RgbdFrame
 
@@ -11,7 +12,8 @@ class Dataset(ABC):
     """A finite, indexable set of annotated frames.
 
     Contract: `classes` has no duplicates; every label of every instance is one of them; item i is the same at every
-    reading; masks and boxes agree with the image size; a set without depth gives depth 0 everywhere.
+    reading; masks and boxes agree with the image size; a set without depth gives depth 0 everywhere; iterating gives
+    the items in order, and may leave out (never silently) those that cannot be read.
     """
 
     @property
@@ -26,3 +28,8 @@ class Dataset(ABC):
     @abstractmethod
     def __getitem__(self, index: int) -> tuple[RgbdFrame, tuple[Instance, ...]]:
         """Frame and its instances. Raises IndexError past the end, DataError naming the file for a corrupt item."""
+
+    def __iter__(self) -> Iterator[tuple[RgbdFrame, tuple[Instance, ...]]]:
+        """Read all frames in order."""
+        for index in range(len(self)):
+            yield self[index]
