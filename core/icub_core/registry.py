@@ -205,7 +205,7 @@ def factory(kind: str, config: Config, **dependencies: Any) -> Callable[[], Any]
     return functools.partial(build, kind, {"plugin": name, **parameters}, **dependencies)
 
 
-def split_config(kind: str, config: str | Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+def split_config(kind: str, config: Config | None) -> tuple[str, dict[str, Any]]:
     """Split a node into the registry name and plain, resolved parameters; raises ConfigError without a name."""
     get_kind(kind)
     if isinstance(config, str):

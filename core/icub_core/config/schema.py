@@ -50,9 +50,13 @@ class Signature:
     dependencies: Mapping[str, Parameter]
 
 
-@functools.cache
 def signature(kind: str, name: str, cls: type) -> Signature:
     """Read the constructor of a plugin; raises PluginError for a type that a configuration cannot hold."""
+    return _signature(kind, name, cls)
+
+
+@functools.cache
+def _signature(kind: str, name: str, cls: type) -> Signature:
     constructor = cast(Callable[..., None], cls.__init__)  # type: ignore[misc]  # an instance's __init__ is never wanted here
     if constructor is object.__init__:
         return Signature({}, {})
@@ -73,7 +77,7 @@ def signature(kind: str, name: str, cls: type) -> Signature:
         else:
             raise PluginError(
                 f"the parameter '{argument.name}' of {kind} '{name}' has type {type_name(parameter.annotation)}, which "
-                "a configuration cannot hold; expected bool, int, float, str, Path, an Enum, or list, tuple, dict of these"
+                "no configuration can hold; expected bool, int, float, str, Path, an Enum, or list, tuple, dict of these"
             )
     return Signature(parameters, dependencies)
 
@@ -126,14 +130,24 @@ def constructor_arguments(
         name: Registry name.
         cls: The plugin.
         parameters: Values from a configuration.
-        given: Dependencies and overriding values; dependencies that the constructor does not ask for are refused.
+        given: Dependencies, and values that override `parameters`.
 
     Raises:
         ConfigError: In one line, with the nearest valid name.
     """
     wanted = signature(kind, name, cls)
-    values = {**parameters, **{key: value for key, value in given.items() if key not in wanted.dependencies}}
     objects = {key: value for key, value in given.items() if key in wanted.dependencies}
+    values = {key: value for key, value in given.items() if key not in wanted.dependencies}
+    arguments = checked_parameters(kind, name, cls, {**parameters, **values})
+    for key, dependency in wanted.dependencies.items():
+        if objects.get(key) is None and dependency.required:
+            raise missing_dependency(kind, name, key)
+    return {**arguments, **objects}
+
+
+def checked_parameters(kind: str, name: str, cls: type, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return every parameter of a constructor with its value or default, converted to its type; raises ConfigError."""
+    wanted = signature(kind, name, cls)
     node = cast(DictConfig, OmegaConf.structured(node_type(kind, name, cls)))
     for key, value in values.items():
         if key not in wanted.parameters:
@@ -145,10 +159,6 @@ def constructor_arguments(
     missing = [key for key in wanted.parameters if OmegaConf.is_missing(node, key)]
     if missing:
         raise ConfigError(f"{kind} '{name}' needs the parameter '{missing[0]}'; add {kind}.{missing[0]}=VALUE")
-    for key, dependency in wanted.dependencies.items():
-        if objects.get(key) is None and dependency.required:
-            hint = f"; add {key}=NAME. Known: {', '.join(available(key)) or 'none'}" if key in KINDS else ""
-            raise ConfigError(f"{kind} '{name}' needs a {key}{hint}")
     plain = to_plain(node)
     arguments = {}
     for key, parameter in wanted.parameters.items():
@@ -156,7 +166,13 @@ def constructor_arguments(
             arguments[key] = _restore(plain[key], parameter.annotation)
         except TypeError as cause:
             raise wrong_type(kind, name, parameter, plain[key]) from cause
-    return {**arguments, **objects}
+    return arguments
+
+
+def missing_dependency(kind: str, name: str, key: str) -> ConfigError:
+    """Return the error for an object that a plugin needs and that nothing provides."""
+    hint = f"; add {key}=NAME. Known: {', '.join(available(key)) or 'none'}" if key in KINDS else ""
+    return ConfigError(f"{kind} '{name}' needs {'an' if key[0] in 'aeiou' else 'a'} {key}{hint}")
 
 
 def unknown_parameter(kind: str, name: str, key: str, wanted: Signature) -> ConfigError:
