@@ -1,8 +1,8 @@
 """What a user types after ``icub run``, made into what Hydra takes, with every misspelling stopped.
 
 Hydra accepts ``+segmentr=falkon`` silently as a new key, and refuses ``+segmenter=falkon`` for a group of the defaults
-list. Here ``+group=x``, ``++group=x`` and ``group=x`` mean the same, ``~group`` and ``group=null`` leave a stage out, and
-a key whose first word is unknown is an error.
+list. Here ``+group=x``, ``++group=x`` and ``group=x`` mean the same, ``~group`` and ``group=null`` leave a stage out,
+and a key whose first word is unknown is an error.
 """
 
 from __future__ import annotations

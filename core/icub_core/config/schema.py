@@ -77,7 +77,7 @@ def _signature(kind: str, name: str, cls: type) -> Signature:
         else:
             raise PluginError(
                 f"the parameter '{argument.name}' of {kind} '{name}' has type {type_name(parameter.annotation)}, which "
-                "no configuration can hold; expected bool, int, float, str, Path, an Enum, or list, tuple, dict of these"
+                "no configuration can hold; expected bool, int, float, str, Path, Enum, or list, tuple, dict of these"
             )
     return Signature(parameters, dependencies)
 
