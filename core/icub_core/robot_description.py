@@ -71,7 +71,7 @@ class ContactMaterial:
 
 @dataclass(frozen=True)
 class RobotCamera:
-    """A camera fixed to a link; `fovy` in radians, camera z forward and y down in T_link_camera (position, quaternion)."""
+    """A camera fixed to a link: T_link_camera as position and quaternion, z forward and y down; `fovy` in radians."""
 
     name: str
     link: str
@@ -102,9 +102,9 @@ class RobotDescription:
             thumb_proximal, thumb_distal, index_proximal, index_distal, middle_proximal, middle_distal, pinky.
         dynamics, contacts: By joint, by link; absent names take the defaults.
         contact_excludes: Pairs of links that never collide.
-        capsule_links: Links whose every ``<cylinder>`` in the URDF stands for a capsule of that radius, whose end spheres
-            are centred on the cylinder's end faces (the length is the segment between them). The file says cylinder
-            because the parser that Pinocchio and Placo use refuses capsules; engines that know capsules turn them back.
+        capsule_links: Links whose every ``<cylinder>`` in the URDF stands for a capsule of that radius, with its end
+            spheres centred on the cylinder's end faces (the length is the segment between them). The file says
+            cylinder because the parser of Pinocchio and Placo refuses capsules; engines that know them turn them back.
         coupled_joints: Joints that follow others rigidly.
         gravity_compensation: Whether the robot carries its own weight without effort.
     """

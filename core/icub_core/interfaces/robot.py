@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,10 +51,8 @@ class Robot(ABC):
     def jacobian(self, q: NDArray[np.float64], frame: str) -> NDArray[np.float64]:
         """Return the (6, n) Jacobian of `frame`: linear then angular velocity, in world axes at the frame's origin."""
 
-    def pose_and_jacobian(
-        self, q: NDArray[np.float64], frame: str
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return `forward_kinematics` and `jacobian` of one `q` (n,); a robot may answer both faster than one by one."""
+    def pose_and_jacobian(self, q: NDArray[np.float64], frame: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return `forward_kinematics` and `jacobian` of one `q` (n,); a robot may answer both at once, faster."""
         return self.forward_kinematics(q, frame), self.jacobian(q, frame)
 
     @abstractmethod
@@ -70,6 +69,9 @@ class Robot(ABC):
     ) -> IkSolution:
         """Move the joints of `group` so that `frame` takes the pose `T_world_frame` (4, 4).
 
+        A solver may start again from elsewhere when more than a few iterations are allowed; with up to 10 it only
+        follows from `q_start`. A pose that is not finite is an unreachable pose.
+
         Args:
             T_world_frame: Wanted pose.
             q_start: (n,) start, also the posture that the solution stays near.
@@ -79,3 +81,38 @@ class Robot(ABC):
             position_tolerance: Metres.
             orientation_tolerance: Radians.
         """
+
+    def inverse_kinematics_batch(
+        self,
+        T_world_frames: NDArray[np.float64] | Sequence[NDArray[np.float64]],
+        q_start: NDArray[np.float64],
+        frame: str,
+        *,
+        group: str = "right_reach",
+        max_iterations: int = 100,
+        position_tolerance: float = 1e-3,
+        orientation_tolerance: float = 1e-2,
+    ) -> list[IkSolution]:
+        """Solve many targets from one start, to rank candidates: as one by one, but a solver may leave restarts out.
+
+        Args:
+            T_world_frames: (k, 4, 4) wanted poses; k may be 0.
+            q_start: (n,) start of all.
+            frame: As for one target, like the rest.
+            group: Joints that may move.
+            max_iterations: Of one descent.
+            position_tolerance: Metres.
+            orientation_tolerance: Radians.
+        """
+        return [
+            self.inverse_kinematics(
+                T,
+                q_start,
+                frame,
+                group=group,
+                max_iterations=max_iterations,
+                position_tolerance=position_tolerance,
+                orientation_tolerance=orientation_tolerance,
+            )
+            for T in T_world_frames
+        ]

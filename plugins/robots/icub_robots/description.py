@@ -69,9 +69,7 @@ def describe(
         },
         contacts=_contacts(fingered),
         contact_excludes=tuple(
-            pair
-            for hand in fingered
-            for pair in ((hand.palm_link, f"{hand.side[0]}_forearm"), *hand.contact_excludes)
+            pair for hand in fingered for pair in ((hand.palm_link, f"{hand.side[0]}_forearm"), *hand.contact_excludes)
         ),
         capsule_links=frozenset(
             name for hand in fingered for name in (f"{hand.side[0]}_forearm", *(p.name for p in hand.phalanges))
@@ -92,7 +90,7 @@ def _check(hands: Sequence[str], limits: str, coupling: str) -> None:
 
 
 def _groups(arms: Sequence[str], legs: Sequence[str], hands: Sequence[Hand]) -> dict[str, tuple[str, ...]]:
-    groups = {"torso": body.TORSO, "neck": body.NECK, "head": body.NECK}
+    groups: dict[str, tuple[str, ...]] = {"torso": body.TORSO, "neck": body.NECK, "head": body.NECK}
     for side in arms:
         groups[f"{side}_arm"] = body.arm(side)
         groups[f"{side}_reach"] = (*body.TORSO, *body.arm(side))

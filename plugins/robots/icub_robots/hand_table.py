@@ -114,7 +114,7 @@ def load_hand(side: str) -> Hand:
     return Hand(
         side=side,
         palm_link=palm_link,
-        palm=tuple(PalmBox(tuple(b["position"]), tuple(b["quat_wxyz"]), tuple(b["half_size"])) for b in rows["palm_boxes"]),
+        palm=tuple(PalmBox(*map(tuple, (b["position"], b["quat_wxyz"], b["half_size"]))) for b in rows["palm_boxes"]),
         phalanges=phalanges,
         tips=tuple(Tip(t["name"], t["parent"], tuple(t["xyz"]), tuple(t["rpy"])) for t in rows["tips"]),
         mass=table["finger_link"]["mass"],
@@ -167,19 +167,18 @@ def _phalanx(row: dict[str, Any], palm_link: str, fixed: list[str]) -> Phalanx:
 
 def _dynamics(rows: dict[str, Any], side: str, palm_link: str) -> dict[str, JointDynamics]:
     default = JointDynamics()
-    friction = rows["frictionloss"][side]
+    friction = {joint: rows["frictionloss"][side].get(joint, default.frictionloss) for joint in rows["stiffness"]}
     return {
-        f"{palm_link}_{joint}_joint": JointDynamics(default.damping, stiffness, friction.get(joint, default.frictionloss))
+        f"{palm_link}_{joint}_joint": JointDynamics(default.damping, stiffness, friction[joint])
         for joint, stiffness in rows["stiffness"].items()
     }
 
 
-def _materials(
-    rows: dict[str, Any], palm_link: str, phalanges: tuple[Phalanx, ...]
-) -> dict[str, ContactMaterial]:
-    named = {
-        name: ContactMaterial(**{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()})
-        for name, row in rows.items()
-    }
+def _materials(rows: dict[str, Any], palm_link: str, phalanges: tuple[Phalanx, ...]) -> dict[str, ContactMaterial]:
+    def material(row: dict[str, Any]) -> ContactMaterial:
+        fields: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in row.items()}
+        return ContactMaterial(**fields)
+
+    named = {name: material(row) for name, row in rows.items()}
     materials = {p.name: named["fingertip" if p.name.endswith("_3") else "finger"] for p in phalanges}
     return {palm_link: named["palm"], **materials}

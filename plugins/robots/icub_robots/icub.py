@@ -1,18 +1,22 @@
-"""The simulated iCub: a description and Pinocchio kinematics."""
+"""The simulated iCub: a description, and kinematics by the library of choice."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.errors import ConfigError
+from icub_core.errors import ConfigError, DataError, unknown_name
 from icub_core.interfaces.robot import IkSolution, Robot
 from icub_core.robot_description import RobotDescription
 from icub_robots.description import describe
-from icub_robots.kinematics.damped_least_squares import TRACKING_ITERATIONS, ChainIk
+from icub_robots.kinematics.base import IkRequest, Kinematics
 from icub_robots.kinematics.model import PinocchioModel
+from icub_robots.kinematics.pinocchio_kinematics import PinocchioKinematics
 
 FloatArray = NDArray[np.float64]
+KINEMATICS = ("pinocchio", "placo")
 
 
 class ICub(Robot):
@@ -23,8 +27,9 @@ class ICub(Robot):
         limits: Joint limits: ``"ikin"`` (those of the real robot's arm solver) or ``"urdf"``.
         coupling: ``"tendon"`` (under-actuated fingers) or ``"equal_split"`` (coupled joints stay equal).
         weld: Fix legs and unused arms at home.
+        kinematics: Inverse kinematics by ``"pinocchio"`` (fast, restarts, batches) or ``"placo"`` (quadratic program).
         torso_pitch_max: Upper limit of torso_pitch in inverse kinematics, rad (thesis 12.3: 0.5).
-        restarts: Further starts of a descent that did not reach, when it was allowed more than 10 iterations.
+        restarts: Further starts of a solve that did not reach, when it was allowed more than 10 iterations.
     """
 
     def __init__(
@@ -33,30 +38,31 @@ class ICub(Robot):
         limits: str = "ikin",
         coupling: str = "tendon",
         weld: bool = True,
+        kinematics: str = "pinocchio",
         torso_pitch_max: float = 0.5,
         restarts: int = 4,
     ) -> None:
+        if kinematics not in KINEMATICS:
+            raise ConfigError(unknown_name("kinematics library", kinematics, KINEMATICS))
+        if restarts < 0:
+            raise ConfigError(f"restarts is {restarts}; expected 0 or more")
         self._description = describe(tuple(hands), limits, coupling, weld)
         self._model = PinocchioModel(self._description)
-        self._lower = self._description.lower.copy()
-        self._upper = self._description.upper.copy()
+        lower, upper = self._description.lower.copy(), self._description.upper.copy()
         torso_pitch = self._description.joint_names.index("torso_pitch")
-        if not self._lower[torso_pitch] < torso_pitch_max:
+        if not torso_pitch_max > lower[torso_pitch]:
             raise ConfigError(
                 f"torso_pitch_max is {torso_pitch_max} rad; expected above the joint's lower limit, "
-                f"{self._lower[torso_pitch]:.3f}"
+                f"{lower[torso_pitch]:.3f}"
             )
-        self._upper[torso_pitch] = min(self._upper[torso_pitch], torso_pitch_max)
-        self._restarts = self._make_restarts(restarts)
-        self._chains: dict[tuple[str, str], ChainIk] = {}
+        upper[torso_pitch] = min(upper[torso_pitch], torso_pitch_max)
+        self._kinematics: Kinematics
+        if kinematics == "placo":
+            from icub_robots.kinematics.placo_kinematics import PlacoKinematics
 
-    def _make_restarts(self, count: int) -> FloatArray:
-        """Home, then fixed random postures in the middle of the ranges: (count, n)."""
-        low, high = self._lower, self._upper
-        unit = np.random.default_rng(0).uniform(0.2, 0.8, (max(count, 1), len(low)))
-        starts = low + unit * (high - low)
-        starts[0] = self._description.home_q
-        return starts[:count]
+            self._kinematics = PlacoKinematics(self._model, lower, upper)
+        else:
+            self._kinematics = PinocchioKinematics(self._model, lower, upper, restarts)
 
     @property
     def description(self) -> RobotDescription:
@@ -71,6 +77,10 @@ class ICub(Robot):
         """Return the (6, n) Jacobian of a link: linear then angular, world axes, at the link's origin."""
         return self._model.jacobian(q, frame)
 
+    def pose_and_jacobian(self, q: FloatArray, frame: str) -> tuple[FloatArray, FloatArray]:
+        """Return `forward_kinematics` and `jacobian` of one `q` (n,), from one pass over the chain."""
+        return self._model.pose_and_jacobian(q, frame)
+
     def inverse_kinematics(
         self,
         T_world_frame: FloatArray,
@@ -82,11 +92,39 @@ class ICub(Robot):
         position_tolerance: float = 1e-3,
         orientation_tolerance: float = 1e-2,
     ) -> IkSolution:
-        """Place `frame`; see the interface. Up to 10 iterations track from `q_start` only, more may restart."""
-        chain = self._chains.get((frame, group))
-        if chain is None:
-            chain = self._chains[frame, group] = ChainIk(self._model, frame, group, self._lower, self._upper)
-        restarts = self._restarts if max_iterations > TRACKING_ITERATIONS else None
-        return chain.solve(
-            T_world_frame, q_start, max_iterations, position_tolerance, orientation_tolerance, restarts
-        )
+        """Place `frame`; see the interface. Up to 10 iterations only follow from `q_start`, more may restart."""
+        request = IkRequest(max_iterations, position_tolerance, orientation_tolerance)
+        self._check_start(q_start)
+        if not np.isfinite(T_world_frame).all():
+            return _unreachable(q_start)
+        return self._kinematics.solve(T_world_frame, q_start, frame, group, request)
+
+    def inverse_kinematics_batch(
+        self,
+        T_world_frames: FloatArray | Sequence[FloatArray],
+        q_start: FloatArray,
+        frame: str,
+        *,
+        group: str = "right_reach",
+        max_iterations: int = 100,
+        position_tolerance: float = 1e-3,
+        orientation_tolerance: float = 1e-2,
+    ) -> list[IkSolution]:
+        """Solve many targets (k, 4, 4) from one start, each by one descent; see the interface."""
+        request = IkRequest(max_iterations, position_tolerance, orientation_tolerance)
+        self._check_start(q_start)
+        targets = np.asarray(T_world_frames, dtype=np.float64).reshape(-1, 4, 4)
+        finite: NDArray[np.bool_] = np.isfinite(targets).all(axis=(1, 2))
+        solved = iter(self._kinematics.solve_batch(targets[finite], q_start, frame, group, request))
+        return [next(solved) if good else _unreachable(q_start) for good in finite]
+
+    def _check_start(self, q_start: FloatArray) -> None:
+        if q_start.shape != self._description.lower.shape or not np.isfinite(q_start).all():
+            raise DataError(
+                f"q_start has shape {q_start.shape} or is not finite; expected {self._description.lower.shape} joint "
+                "positions, rad"
+            )
+
+
+def _unreachable(q_start: FloatArray) -> IkSolution:
+    return IkSolution(q_start.copy(), False, float("inf"), float("inf"))

@@ -194,7 +194,7 @@ def _add_capsule(
 
 
 def _add_shape(
-    link: ET.Element, shape: str, size: dict[str, str], xyz: NDArray[np.float64], rpy: NDArray[np.float64], visible: bool
+    link: ET.Element, shape: str, size: dict[str, str], xyz: Iterable[float], rpy: Iterable[float], visible: bool
 ) -> None:
     for tag in ("visual", "collision") if visible else ("collision",):
         element = ET.SubElement(link, tag)

@@ -73,6 +73,14 @@ class PinocchioModel:
         )
         return np.array(J[:, self.order])
 
+    def pose_and_jacobian(self, q: FloatArray, frame: str) -> tuple[FloatArray, FloatArray]:
+        """Return T_world_frame (4, 4) and the Jacobian (6, n) of `jacobian`."""
+        index = self.frame_id(frame)
+        pin.computeJointJacobians(self.model, self.data, self.to_pinocchio(q))
+        T = np.array(pin.updateFramePlacement(self.model, self.data, index).homogeneous)
+        J = pin.getFrameJacobian(self.model, self.data, index, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        return T, np.array(J[:, self.order])
+
     def support(self, frame: str) -> list[str]:
         """Return the joints between the root and a link, root first."""
         joint = self.model.frames[self.frame_id(frame)].parentJoint

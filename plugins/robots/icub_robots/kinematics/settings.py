@@ -1,0 +1,10 @@
+"""Numbers of the damped least squares solvers, each chosen by measurement (benchmarks/kinematics.py)."""
+
+DAMPING = 1e-4  # added to the diagonal of J J^T; 1e-3 loses a tenth of the reachable targets
+MAX_STEP = 0.7  # rad, of any joint in one iteration: the linearisation is worth little beyond
+POSTURE_GAIN = 0.5  # share of the way back to the reference posture taken by the first iteration in the null space
+POSTURE_DECAY = 0.7  # of that share per iteration: a constant pull would keep the descent from converging
+CONVERGED = 0.1  # an iterate within this share of both tolerances ends the descent
+PATIENCE = 4  # iterations without progress that end a descent
+MIN_PROGRESS = 0.9  # ratio of squared errors that counts as progress
+AT_LIMIT = 1e-9  # rad
