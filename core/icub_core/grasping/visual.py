@@ -1,0 +1,62 @@
+"""The visual part of the observation: an encoder's features of three pictures, stacked as in Flare."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+HISTORY = 3
+
+
+class VisualEncoder(ABC):
+    """Turns a picture into one feature vector. Contract: deterministic; pictures of any size."""
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Length F of a feature vector."""
+
+    @abstractmethod
+    def encode(self, rgb: NDArray[np.uint8]) -> torch.Tensor:
+        """Encode a picture (H, W, 3) uint8: (F,) float32."""
+
+
+def flare(features: torch.Tensor) -> torch.Tensor:
+    """Stack features (..., 3, F) of t-2, t-1, t: (..., 5 F) = f(t-2), f(t-2)-f(t-1), f(t-1), f(t-1)-f(t), f(t).
+
+    The differences are older minus newer, as in the released code. Source: Flare (thesis reference 177).
+    """
+    oldest, older, newest = features.unbind(dim=-2)
+    return torch.cat([oldest, oldest - older, older, older - newest, newest], dim=-1)
+
+
+class VisualStack:
+    """Features of the last three pictures of every world. A first picture fills the whole history.
+
+    One feature vector is kept for a step; the stack is made when it is asked for, which is what lets a replay buffer
+    keep F numbers a step instead of 10 F.
+    """
+
+    def __init__(self, encoder: VisualEncoder, worlds: int) -> None:
+        self._encoder = encoder
+        self._features = torch.zeros(worlds, HISTORY, encoder.size)
+
+    @property
+    def size(self) -> int:
+        """Length of the stacked vector, 5 F."""
+        return 5 * self._encoder.size
+
+    def begin(self, world: int, rgb: NDArray[np.uint8]) -> None:
+        """Start an episode of one world with its first picture."""
+        self._features[world] = self._encoder.encode(rgb)
+
+    def push(self, world: int, rgb: NDArray[np.uint8]) -> None:
+        """Add the newest picture of one world."""
+        self._features[world] = torch.cat([self._features[world, 1:], self._encoder.encode(rgb)[None]])
+
+    def stacked(self) -> torch.Tensor:
+        """Return the stacked features (N, 5 F)."""
+        return flare(self._features)

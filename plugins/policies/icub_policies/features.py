@@ -1,0 +1,47 @@
+"""What the networks see: the task's observation, re-expressed so that every entry is near the size of 1.
+
+Nothing is added to the observation of thesis 12.3.1; positions become relative (the object centre in the hand's frame),
+the Euler angles become the first two columns of the rotation (no jump at 2 pi), finger lengths are divided by their
+usual range. The thesis's networks take the raw entries.
+"""
+
+from __future__ import annotations
+
+import torch
+from icub_core.grasping.spaces import FINGERS, HAND_POSE, OBJECT_CENTER, TOUCH, VISUAL
+from tensordict import TensorDictBase
+
+WORKSPACE_CENTER = (-0.35, 0.0, 1.0)
+"""Middle of the area in which objects stand, world, metres."""
+LENGTH = 0.1
+"""Metres that become 1."""
+FINGER_RANGES = (1.05, 1.57, 1.57, 2.97, 1.57, 2.97, 1.57, 2.97, 4.36)
+"""Travel of the nine finger actuators, rad."""
+
+PROPRIOCEPTIVE_SIZE = 3 + 3 + 3 + 6 + len(FINGER_RANGES) + 5
+
+
+def features(observation: TensorDictBase) -> torch.Tensor:
+    """Return the network input (B, 29) float32 of a batch of observations, or (B, 29 + 5 F) with a visual part."""
+    pose, center = observation[HAND_POSE], observation[OBJECT_CENTER]
+    c, s = torch.cos(pose[:, 3:]), torch.sin(pose[:, 3:])
+    cy, cp, cr = c.unbind(1)
+    sy, sp, sr = s.unbind(1)
+    x_axis = torch.stack([cp * cy, cr * sy + sr * sp * cy, sr * sy - cr * sp * cy], dim=1)  # Rx(roll) Ry(pitch) Rz(yaw)
+    y_axis = torch.stack([-cp * sy, cr * cy - sr * sp * sy, sr * cy + cr * sp * sy], dim=1)
+    z_axis = torch.stack([sp, -sr * cp, cr * cp], dim=1)
+    offset = center - pose[:, :3]
+    in_hand = torch.stack([(offset * axis).sum(1) for axis in (x_axis, y_axis, z_axis)], dim=1)
+    middle = pose.new_tensor(WORKSPACE_CENTER)
+    parts = [
+        (pose[:, :3] - middle) / LENGTH,
+        (center - middle) / LENGTH,
+        in_hand / LENGTH,
+        x_axis,
+        y_axis,
+        observation[FINGERS] / pose.new_tensor(FINGER_RANGES) * 2 - 1,
+        observation[TOUCH],
+    ]
+    if VISUAL in observation.keys():
+        parts.append(observation[VISUAL])
+    return torch.cat(parts, dim=1)

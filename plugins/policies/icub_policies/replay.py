@@ -1,0 +1,129 @@
+"""Replay memory that stores every observation once: rows are time, columns are worlds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+RUNNING, TERMINAL, CUT = 0, 1, 2
+"""How a stored step went on: normally; into a terminal state; or not to be learned from (a truncation or a fault), then
+its observation still serves as the state that the steps before it bootstrap from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Transitions over up to n steps.
+
+    Attributes:
+        state, next_state: (B, d).
+        action, base, next_base: (B, a); the bases are empty unless a base policy's actions are kept.
+        reward: (B,) discounted sum.
+        discount: (B,) what the value of `next_state` is multiplied by; 0 after a terminal state.
+        weight: (B,) 1, or 0 where nothing may be learned.
+    """
+
+    state: torch.Tensor
+    action: torch.Tensor
+    base: torch.Tensor
+    reward: torch.Tensor
+    next_state: torch.Tensor
+    next_base: torch.Tensor
+    discount: torch.Tensor
+    weight: torch.Tensor
+
+
+class Replay:
+    """Ring of the last rows of N worlds.
+
+    Args:
+        rows: Steps kept of every world.
+        worlds: N.
+        state, action: Sizes.
+        base: Whether to keep the base policy's action beside the learned one.
+    """
+
+    def __init__(self, rows: int, worlds: int, state: int, action: int, base: bool = False) -> None:
+        self._rows, self._worlds = rows, worlds
+        self.state = torch.zeros(rows, worlds, state)
+        self.action = torch.zeros(rows, worlds, action)
+        self.base = torch.zeros(rows, worlds, action if base else 0)
+        self.reward = torch.zeros(rows, worlds)
+        self.end = torch.zeros(rows, worlds, dtype=torch.uint8)
+        self.added = 0
+
+    def __len__(self) -> int:
+        return min(self.added, self._rows) * self._worlds
+
+    def add(
+        self,
+        state: torch.Tensor,
+        action: torch.Tensor,
+        reward: torch.Tensor,
+        end: torch.Tensor,
+        base: torch.Tensor | None = None,
+    ) -> None:
+        """Append one step of all worlds: (N, d), (N, a), (N,), (N,) codes, (N, a)."""
+        row = self.added % self._rows
+        usable = (end != CUT)[:, None]
+        self.state[row] = state
+        self.action[row] = action * usable
+        self.reward[row] = reward * usable[:, 0]
+        self.end[row] = end
+        if base is not None:
+            self.base[row] = base
+        self.added += 1
+
+    def ready(self, steps: int) -> bool:
+        """Say whether windows of `steps` steps can be drawn."""
+        return self.added > steps
+
+    def sample(self, count: int, steps: int, gamma: float, generator: torch.Generator) -> Batch:
+        """Draw `count` windows of up to `steps` steps uniformly."""
+        oldest = max(0, self.added - self._rows)
+        starts = torch.randint(oldest, self.added - steps, (count,), generator=generator)
+        worlds = torch.randint(self._worlds, (count,), generator=generator)
+        return self.windows(starts, worlds, steps, gamma)
+
+    def windows(self, starts: torch.Tensor, worlds: torch.Tensor, steps: int, gamma: float) -> Batch:
+        """Return the windows that begin at rows `starts` (counted from the first ever added) of `worlds`."""
+        offsets = torch.arange(steps)
+        rows = (starts[:, None] + offsets) % self._rows  # (B, n)
+        ends = self.end[rows, worlds[:, None]]
+        running = ends == RUNNING
+        before = torch.cat([torch.ones_like(running[:, :1]), running[:, :-1].cumprod(1).bool()], dim=1)
+        discounts = gamma**offsets
+        reward = (self.reward[rows, worlds[:, None]] * before * discounts).sum(1)
+        length = (before & (ends != CUT)).sum(1)  # steps whose reward counts
+        terminal = (before & (ends == TERMINAL)).any(1)
+        first, last = rows[:, 0], (starts + length) % self._rows
+        return Batch(
+            state=self.state[first, worlds],
+            action=self.action[first, worlds],
+            base=self.base[first, worlds],
+            reward=reward,
+            next_state=self.state[last, worlds],
+            next_base=self.base[last, worlds],
+            discount=torch.where(terminal, 0.0, gamma**length),
+            weight=(length > 0).float(),
+        )
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return the filled rows and the count."""
+        filled = min(self.added, self._rows)
+        names = ("state", "action", "base", "reward", "end")
+        return {**{n: getattr(self, n)[:filled].clone() for n in names}, "added": torch.tensor(self.added)}
+
+    def load_state_dict(self, arrays: dict[str, torch.Tensor]) -> None:
+        """Take back what `state_dict` returned."""
+        self.added = int(arrays["added"])
+        filled = min(self.added, self._rows)
+        for name in ("state", "action", "base", "reward", "end"):
+            getattr(self, name)[:filled] = arrays[name]
+
+
+def concatenate(parts: list[Batch]) -> Batch:
+    """Put batches after one another."""
+    if len(parts) == 1:
+        return parts[0]
+    return Batch(*(torch.cat([getattr(p, name) for p in parts]) for name in Batch.__dataclass_fields__))

@@ -1,0 +1,135 @@
+"""Soft actor-critic, written for small networks on a CPU; its losses equal TorchRL's `SACLoss` (a test compares them).
+
+Differences from the thesis's SAC (Stable-Baselines3), each because short wall-clock budgets need it:
+layer-normalised critics, returns over n steps, demonstrations kept for ever at a fixed share of every batch, rewards
+scaled so that values stay near 10, a lower target entropy. Sources: Haarnoja et al. 2018; Ball et al. 2023.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+
+from icub_policies.networks import Actor, Critics
+from icub_policies.replay import Batch
+
+ActorInput = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+
+
+@dataclass(frozen=True)
+class SacSettings:
+    """Numbers of the learner.
+
+    Attributes:
+        gamma: Discount of one control step.
+        steps: n of the n-step returns.
+        tau: Share of the way that target critics move at each update.
+        learning_rate: Of all optimisers (thesis 3e-4).
+        batch: Transitions in an update.
+        target_entropy: Nats.
+        alpha: Entropy coefficient at the start.
+        actor_every: Critic updates between two actor updates.
+        reward_scale: Rewards are multiplied by it.
+        hidden: Units of a layer.
+    """
+
+    gamma: float = 0.99
+    steps: int = 5
+    tau: float = 0.005
+    learning_rate: float = 3e-4
+    batch: int = 256
+    target_entropy: float = -22.5
+    alpha: float = 0.05
+    actor_every: int = 2
+    reward_scale: float = 0.05
+    hidden: int = 256
+
+
+class Sac:
+    """Networks, optimisers and one update.
+
+    With `residual` the action that critics judge is clip(base + learned, -1, 1) and the actor also sees the base's
+    action; entropy is that of the learned part (thesis 13.3.2).
+
+    Args:
+        states, actions: Sizes.
+        settings: Numbers.
+        residual: Learn what to add to a base policy.
+        seed: Of the initial weights and of everything sampled later.
+    """
+
+    def __init__(self, states: int, actions: int, settings: SacSettings, residual: bool = False, seed: int = 0) -> None:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            inputs = states + actions if residual else states
+            self.actor = Actor(inputs, actions, settings.hidden, log_std=-2.0 if residual else -1.0, zero_mean=residual)
+            self.critics = Critics(states, actions, settings.hidden)
+        self.targets = copy.deepcopy(self.critics).requires_grad_(False)
+        self.log_alpha = torch.tensor(settings.alpha).log().requires_grad_()
+        self.generator = torch.Generator().manual_seed(seed)
+        self.settings, self.residual, self._actions = settings, residual, actions
+        rate = settings.learning_rate
+        self.actor_optimiser = torch.optim.Adam(self.actor.parameters(), lr=rate, fused=True)
+        self.critic_optimiser = torch.optim.Adam(self.critics.parameters(), lr=rate, fused=True)
+        self.alpha_optimiser = torch.optim.Adam([self.log_alpha], lr=rate)
+        self.updates = 0
+
+    def noise(self, count: int) -> torch.Tensor:
+        """Draw (count, a) standard normal numbers from the learner's own stream."""
+        return torch.randn(count, self._actions, generator=self.generator)
+
+    def actor_input(self, state: torch.Tensor, base: torch.Tensor) -> torch.Tensor:
+        """Return what the actor sees: the state, and for a residual the base policy's action."""
+        return torch.cat([state, base], dim=1) if self.residual else state
+
+    def total(self, action: torch.Tensor, base: torch.Tensor) -> torch.Tensor:
+        """Return what is executed and judged: the action, or clip(base + residual, -1, 1)."""
+        return (base + action).clamp(-1.0, 1.0) if self.residual else action
+
+    def explore(self, state: torch.Tensor, base: torch.Tensor) -> torch.Tensor:
+        """Sample the learned part (B, a)."""
+        with torch.no_grad():
+            return self.actor.sample(self.actor_input(state, base), self.noise(len(state)))[0]
+
+    def critic_loss(self, batch: Batch, noise: torch.Tensor) -> torch.Tensor:
+        """Sum over critics of the mean squared error to r + discount (min Q_target(s', a') - alpha log pi(a'))."""
+        with torch.no_grad():
+            action, log_prob = self.actor.sample(self.actor_input(batch.next_state, batch.next_base), noise)
+            values = self.targets(batch.next_state, self.total(action, batch.next_base)).amin(0)
+            target = batch.reward * self.settings.reward_scale
+            target = target + batch.discount * (values - self.log_alpha.exp() * log_prob)
+        error = (self.critics(batch.state, self.total(batch.action, batch.base)) - target).square()
+        return (error * batch.weight).sum() / batch.weight.sum().clamp_min(1.0)
+
+    def actor_loss(self, batch: Batch, noise: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean of alpha log pi(a) - min Q(s, a), and the log-probabilities (B,) without gradient."""
+        action, log_prob = self.actor.sample(self.actor_input(batch.state, batch.base), noise)
+        values = self.critics(batch.state, self.total(action, batch.base)).amin(0)
+        return (self.log_alpha.exp().detach() * log_prob - values).mean(), log_prob.detach()
+
+    def alpha_loss(self, log_prob: torch.Tensor) -> torch.Tensor:
+        """-log alpha (log pi + target entropy), averaged."""
+        return -(self.log_alpha * (log_prob + self.settings.target_entropy)).mean()
+
+    def update(self, batch: Batch, train_actor: bool = True) -> None:
+        """Do one step of the critics and, every few, one of actor and entropy coefficient."""
+        self.critic_optimiser.zero_grad(set_to_none=True)
+        self.critic_loss(batch, self.noise(len(batch.reward))).backward()
+        self.critic_optimiser.step()
+        with torch.no_grad():
+            torch._foreach_lerp_(list(self.targets.parameters()), list(self.critics.parameters()), self.settings.tau)
+        self.updates += 1
+        if not train_actor or self.updates % self.settings.actor_every:
+            return
+        self.critics.requires_grad_(False)
+        self.actor_optimiser.zero_grad(set_to_none=True)
+        loss, log_prob = self.actor_loss(batch, self.noise(len(batch.reward)))
+        loss.backward()
+        self.actor_optimiser.step()
+        self.critics.requires_grad_(True)
+        self.alpha_optimiser.zero_grad(set_to_none=True)
+        self.alpha_loss(log_prob).backward()
+        self.alpha_optimiser.step()
