@@ -1,0 +1,130 @@
+"""The open hand and the forearm as spheres, read from the robot's own description."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+import numpy as np
+from icub_core.errors import ConfigError, unknown_name
+from icub_core.geometry import FloatArray, invert, make_transform, rotation_about
+from icub_core.interfaces.robot import Robot
+
+_SPACING = 0.008  # metres between spheres along a link
+
+
+@dataclass(frozen=True, eq=False)
+class Spheres:
+    """Spheres that cover a body.
+
+    Attributes:
+        centers: (K, 3) metres, in the frame that the owner states.
+        radii: (K,) metres.
+    """
+
+    centers: FloatArray
+    radii: FloatArray
+
+    def at(self, T: FloatArray) -> FloatArray:
+        """Return the centres (..., K, 3) after the transforms `T` (..., 4, 4)."""
+        return self.centers @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
+
+
+@dataclass(frozen=True, eq=False)
+class HandGeometry:
+    """What of a robot comes near the object and the table.
+
+    Attributes:
+        frame: The hand frame that grasps are stated in.
+        hand: The hand as it waits before a grasp (the home pose of its fingers), in the hand frame.
+        forearm_link: The last link above the hand that has a collision body, or None.
+        forearm: That body in its link's frame; empty without such a link.
+    """
+
+    frame: str
+    hand: Spheres
+    forearm_link: str | None
+    forearm: Spheres
+
+
+def read_hand_geometry(robot: Robot, hand: str) -> HandGeometry:
+    """Collect the collision bodies of one hand at the home pose.
+
+    Raises:
+        ConfigError: The robot has no such hand.
+    """
+    description = robot.description
+    if hand not in description.hand_frames:
+        raise ConfigError(unknown_name(f"hand of robot '{description.name}'", hand, description.hand_frames))
+    frame = description.hand_frames[hand]
+    root = ET.parse(description.urdf).getroot()
+    bodies = {link.attrib["name"]: _spheres_of(link) for link in root.findall("link")}
+    parent = {j.find("child").attrib["link"]: j.find("parent").attrib["link"] for j in root.findall("joint")}  # type: ignore[union-attr]
+
+    palm = frame
+    while palm in parent and bodies[palm] is None:
+        palm = parent[palm]
+    forearm = parent.get(palm)
+    while forearm is not None and bodies[forearm] is None:
+        forearm = parent.get(forearm)
+
+    q = description.home_q
+    T_hand_world = invert(robot.forward_kinematics(q, frame))
+    centers, radii = [], []
+    for link, spheres in bodies.items():
+        if spheres is not None and _is_below(link, palm, parent):
+            centers.append(spheres.at(T_hand_world @ robot.forward_kinematics(q, link)))
+            radii.append(spheres.radii)
+    arm = bodies[forearm] if forearm is not None else None
+    return HandGeometry(
+        frame,
+        Spheres(np.concatenate(centers), np.concatenate(radii)),
+        forearm,
+        arm if arm is not None else Spheres(np.zeros((0, 3)), np.zeros(0)),
+    )
+
+
+def _is_below(link: str, ancestor: str, parent: dict[str, str]) -> bool:
+    while link != ancestor:
+        if link not in parent:
+            return False
+        link = parent[link]
+    return True
+
+
+def _spheres_of(link: ET.Element) -> Spheres | None:
+    """Cover the boxes, cylinders (as capsules) and spheres of a link; None if it has none. Meshes are passed over."""
+    centers, radii = [], []
+    for collision in link.findall("collision"):
+        geometry = collision.find("geometry")
+        if geometry is None or len(geometry) == 0:
+            continue
+        T = _origin(collision.find("origin"))
+        shape = geometry[0]
+        if shape.tag == "box":
+            half = np.array([float(v) for v in shape.attrib["size"].split()]) / 2
+            radius = float(half.min())
+            axes = [
+                np.linspace(-1, 1, max(2, int(np.ceil(2 * (h - radius) / _SPACING)) + 1)) * (h - radius) for h in half
+            ]
+            axes = [a if h > radius + 1e-4 else np.zeros(1) for a, h in zip(axes, half, strict=True)]
+            local = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        elif shape.tag in ("cylinder", "capsule"):
+            radius, length = float(shape.attrib["radius"]), float(shape.attrib["length"])
+            z = np.linspace(-length / 2, length / 2, max(2, int(np.ceil(length / _SPACING)) + 1))
+            local = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
+        elif shape.tag == "sphere":
+            radius, local = float(shape.attrib["radius"]), np.zeros((1, 3))
+        else:
+            continue
+        centers.append(local @ T[:3, :3].T + T[:3, 3])
+        radii.append(np.full(len(local), radius))
+    return Spheres(np.concatenate(centers), np.concatenate(radii)) if centers else None
+
+
+def _origin(element: ET.Element | None) -> FloatArray:
+    if element is None:
+        return np.eye(4)
+    xyz = [float(v) for v in element.attrib.get("xyz", "0 0 0").split()]
+    roll, pitch, yaw = (float(v) for v in element.attrib.get("rpy", "0 0 0").split())
+    return make_transform(rotation_about("z", yaw) @ rotation_about("y", pitch) @ rotation_about("x", roll), xyz)

@@ -1,0 +1,1 @@
+"""Grasps from a superquadric fitted to the visible surface of an object."""

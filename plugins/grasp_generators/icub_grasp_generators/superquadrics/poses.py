@@ -1,0 +1,174 @@
+"""Hand poses around a superquadric, and what each of them costs.
+
+The iCub's hand squeezes along its x axis, thumb against fingers; its palm looks along z; y runs from the index finger to
+the little one. Poses are therefore drawn from one family: x horizontal at angle a, and a roll phi about x that takes the
+palm from looking down (0) to looking sideways (90 degrees),
+
+    R(a, phi) = [(cos a, sin a, 0), (sin a, -cos a, 0), (0, 0, -1)] Rx(phi)   (columns of the first factor),
+
+with the palm a small gap in front of the solid, the solid's centre on the line between thumb and fingers, and a shift
+along y. The hand is the right one; the left one is its mirror image (see `generator`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from icub_core.geometry import FloatArray, rotation_about
+from icub_core.scene import Table
+
+from icub_grasp_generators.hand_geometry import Spheres
+from icub_grasp_generators.superquadrics.shape import Superquadric
+
+MAX_WIDTH = 0.075
+"""Metres between thumb and fingers; the opening is 0.09, of which placing and pose errors take their part."""
+
+GRASP_X = 0.033  # of the solid's centre in the hand frame, between opposed thumb and closing fingers
+GRASP_Y = -0.002
+PALM_GAP = 0.004  # between palm surface and solid
+_PALM_Z = 0.001  # the palm's surface in the hand frame
+
+_YAW_STEP = np.radians(15.0)
+_YAWS = np.radians(np.arange(90.0, 300.0, 15.0))
+_YAW_OFFSETS = (0.0, 0.12, -0.12)
+_ROLLS = np.radians([-29.0, 0.0, 29.0, 46.0, 63.0, 77.0, 90.0])
+_SHIFTS = np.array([-0.04, -0.02, 0.0, 0.02, 0.04])  # along y
+
+_TABLE_CLEARANCE = 0.004
+_PENETRATION = 0.003  # of the open hand into the solid: contact moves a finger that much without harm
+_FINGER_Y = np.array([-0.036, -0.008, 0.020, 0.036])  # where index, middle, ring and little finger close
+_FINGER_Z = 0.034
+_RAY = np.linspace(-0.045, 0.111, 27)  # x positions at which the solid is looked for along a finger's path
+_HAND_ELLIPSOID = np.array([0.03, 0.06, 0.03])  # thesis's half axes of the grasping hand
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Hand poses with the terms of their costs.
+
+    Attributes:
+        T: (C, 4, 4) world poses of the right hand frame.
+        cost: (C,) sum of the terms; lower is better.
+        width: (C,) metres between thumb and fingers.
+    """
+
+    T: FloatArray
+    cost: FloatArray
+    width: FloatArray
+
+    def take(self, index: FloatArray) -> Candidates:
+        """Return the candidates of an index or flag array."""
+        return Candidates(self.T[index], self.cost[index], self.width[index])
+
+
+def family(shape: Superquadric) -> FloatArray:
+    """Return every pose (C, 4, 4) of the family around `shape`, before any test."""
+    horizontal = shape.T_world_object[:2, :3]
+    lengths = np.linalg.norm(horizontal, axis=0)
+    own = np.arctan2(horizontal[1], horizontal[0])[lengths > 0.7]
+    own = np.concatenate([own, own + np.pi])[:, None] + np.array(_YAW_OFFSETS)
+    yaws = np.concatenate([own.ravel() % (2 * np.pi), _YAWS])
+    yaws = yaws[(yaws >= _YAWS[0] - _YAW_STEP) & (yaws <= _YAWS[-1] + _YAW_STEP)]
+    c, s, zero = np.cos(yaws), np.sin(yaws), np.zeros(len(yaws))
+    flat = np.stack(
+        [np.stack([c, s, zero], -1), np.stack([s, -c, zero], -1), np.stack([zero, zero, zero - 1.0], -1)], axis=-1
+    )
+    rolls = np.stack([rotation_about("x", phi) for phi in _ROLLS])
+    R = (flat[:, None] @ rolls[None]).reshape(-1, 3, 3)
+    reach, _ = shape.support(-R[:, :, 2])
+    T = np.tile(np.eye(4), (len(R), len(_SHIFTS), 1, 1))
+    T[..., :3, :3] = R[:, None]
+    T[..., :3, 3] = (
+        shape.center
+        - GRASP_X * R[:, None, :, 0]
+        - (GRASP_Y + _SHIFTS[:, None]) * R[:, None, :, 1]
+        - (reach + PALM_GAP + _PALM_Z)[:, None, None] * R[:, None, :, 2]
+    )
+    return T.reshape(-1, 4, 4)
+
+
+def clears_table(points: FloatArray, radii: FloatArray, table: Table | None) -> FloatArray:
+    """Say for sphere centres (..., K, 3) of `radii` (K,) whether all stay out of the table: (...) bool."""
+    if table is None:
+        return np.ones(points.shape[:-2], dtype=bool)
+    center, half = np.asarray(table.center), np.asarray(table.half_size)
+    above = points[..., 2] - radii > table.top + _TABLE_CLEARANCE
+    beside = np.any(np.abs(points[..., :2] - center[:2]) > half[:2] + radii[:, None] + _TABLE_CLEARANCE, axis=-1)
+    return np.all(above | beside, axis=-1)
+
+
+def evaluate(shape: Superquadric, T: FloatArray, hand: Spheres, table: Table | None) -> tuple[Candidates, str]:
+    """Drop poses that are too wide, in the table or in the solid, and cost the others.
+
+    Returns:
+        The surviving candidates, cheapest first, and, when there is none, what stood in the way of the last ones.
+    """
+    reach, _ = shape.support(T[:, :3, 0])
+    width = 2 * reach
+    keep = width <= MAX_WIDTH
+    if not keep.any():
+        return _nothing(), f"the object is {1e3 * width.min():.0f} mm wide; the hand takes {1e3 * MAX_WIDTH:.0f} mm"
+    T, width = T[keep], width[keep]
+    keep = clears_table(hand.at(T), hand.radii, table)
+    if not keep.any():
+        return _nothing(), "at every pose around the object the open hand meets the table"
+    T, width = T[keep], width[keep]
+    keep = np.all(shape.distance(hand.at(T)) - hand.radii > -_PENETRATION, axis=1)
+    if not keep.any():
+        return _nothing(), "at every pose around the object the open hand meets the object"
+    T, width = T[keep], width[keep]
+    cost = (
+        _ray_cost(shape, T) + _ellipsoid_cost(shape, T) + _lever_cost(shape, T) + 20.0 * np.maximum(width - 0.055, 0.0)
+    )
+    order = np.argsort(cost, kind="stable")
+    return Candidates(T[order], cost[order], width[order]), ""
+
+
+def _nothing() -> Candidates:
+    return Candidates(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0))
+
+
+def _ray_cost(shape: Superquadric, T: FloatArray) -> FloatArray:
+    """How little the closing fingers find: (C,), 0 when all four meet faces square to their motion."""
+    local = np.zeros((len(_FINGER_Y), len(_RAY), 3))
+    local[..., 0], local[..., 1], local[..., 2] = _RAY, _FINGER_Y[:, None], _FINGER_Z
+    points = local.reshape(-1, 3) @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]
+    inside = shape.gauge(points).reshape(len(T), len(_FINGER_Y), len(_RAY)) < 1.0
+    found = inside.sum(axis=2) >= 3
+    # the last point inside is where a finger lands; its face should look along the finger's motion
+    last = np.where(found, len(_RAY) - 1 - np.argmax(inside[..., ::-1], axis=2), 0)
+    landing = np.take_along_axis(points.reshape(len(T), len(_FINGER_Y), len(_RAY), 3), last[..., None, None], axis=2)
+    square = np.abs(_along(shape, landing[:, :, 0], T[:, :3, 0]))
+    return np.sum(np.where(found, 1.5 * (1.0 - square), 1.0), axis=1) / 2
+
+
+def _along(shape: Superquadric, points: FloatArray, axes: FloatArray) -> FloatArray:
+    """Cosine between the solid's normals at `points` (C, F, 3) and axes (C, 3): (C, F)."""
+    step = 1e-4
+    forward = np.stack([shape.gauge(points + step * e) - shape.gauge(points - step * e) for e in np.eye(3)], axis=-1)
+    forward /= np.maximum(np.linalg.norm(forward, axis=-1, keepdims=True), 1e-12)
+    return np.einsum("cfk,ck->cf", forward, axes)
+
+
+def _ellipsoid_points() -> FloatArray:
+    """The thumb-and-palm half (x + z <= 0) of the hand's ellipsoid, in the hand frame: (M, 3)."""
+    unit = Superquadric.from_parts(np.ones(3), np.ones(2), np.eye(3), np.zeros(3)).surface(78)
+    return (unit * _HAND_ELLIPSOID)[unit[:, 0] + unit[:, 2] <= 0] + np.array([GRASP_X, GRASP_Y, 0.03])
+
+
+_ELLIPSOID = _ellipsoid_points()
+
+
+def _ellipsoid_cost(shape: Superquadric, T: FloatArray) -> FloatArray:
+    """Mean (F^e1 - 1)^2 over the hand's ellipsoid: how well the hand wraps the solid (manipulation by Vezzani 2017)."""
+    points = _ELLIPSOID @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]
+    off = np.minimum(shape.gauge(points) ** 2 - 1.0, 3.0)
+    return 0.1 * np.mean(off**2, axis=1)
+
+
+def _lever_cost(shape: Superquadric, T: FloatArray) -> FloatArray:
+    """Distance of the centre from the line between thumb and fingers: a heavy object turns in the hand about it."""
+    local = np.einsum("cji,cj->ci", T[:, :3, :3], shape.center - T[:, :3, 3])
+    lever = np.hypot(local[:, 1] - GRASP_Y, local[:, 2] - _FINGER_Z)
+    return 10.0 * np.maximum(lever - 0.015, 0.0)
