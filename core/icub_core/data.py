@@ -118,7 +118,9 @@ class PointCloud:
             f"PointCloud.points is {self.points.shape}; expected (N, 3) metres",
         )
         if self.rgb is not None:
-            _require(self.rgb.shape == self.points.shape, f"PointCloud.rgb is {self.rgb.shape}; expected {self.points.shape}")
+            _require(
+                self.rgb.shape == self.points.shape, f"PointCloud.rgb is {self.rgb.shape}; expected {self.points.shape}"
+            )
 
     def __len__(self) -> int:
         return len(self.points)

@@ -1,4 +1,4 @@
-"""What every stage of a run shares: settings, built plugins, where to write, whom to tell."""
+"""What every stage of a run shares: seed, where to write, whom to tell, what was measured."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from icub_core.files import write_text_atomically
+from icub_core.hooks import Events
 
 logger = logging.getLogger(__name__)
 
@@ -25,7 +26,7 @@ class RunContext:
     Attributes:
         run_dir: Where everything is written.
         seed: Of the run; every stage derives its own streams from it.
-        hook: Relay of pluggy's hook calls (see `icub_core.hooks`).
+        events: Tells listeners.
         metrics: Flat figures, by key.
         seconds: Wall time by stage.
         notes: What the reader of the report must know.
@@ -34,7 +35,7 @@ class RunContext:
 
     run_dir: Path
     seed: int
-    hook: Any
+    events: Events
     metrics: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -49,17 +50,16 @@ class RunContext:
     def stage(self, name: str) -> Iterator[None]:
         """Time a stage and announce its start and end."""
         self._stage = name
-        self.hook.icub_stage_start(stage=name)
         started = time.perf_counter()
-        yield
+        with self.events.stage(name):
+            yield
         self.seconds[name] = time.perf_counter() - started
         self.metrics[f"{name}.seconds"] = self.seconds[name]
-        self.hook.icub_stage_end(stage=name, seconds=self.seconds[name])
         logger.info("stage %s took %.1f s", name, self.seconds[name])
 
-    def progress(self, share: float, text: str) -> None:
+    def progress(self, fraction: float, text: str) -> None:
         """Announce how far the present stage is, 0 to 1."""
-        self.hook.icub_progress(stage=self._stage, share=share, text=text)
+        self.events.emit("icub_progress", stage=self._stage, fraction=fraction, text=text)
 
     def note(self, text: str) -> None:
         """Tell the reader, in the log and in the report."""
@@ -69,16 +69,16 @@ class RunContext:
     def record(self, figures: dict[str, Any]) -> None:
         """Add figures and announce them."""
         self.metrics.update(figures)
-        self.hook.icub_metrics(metrics=dict(figures))
+        self.events.emit("icub_metrics", metrics=dict(figures))
 
     def remember(self, stage: str) -> None:
         """Note in the run folder that everything up to `stage` is done, with its figures."""
-        content = {"metrics": self.metrics, "seconds": self.seconds, "notes": self.notes}
+        content: dict[str, Any] = {"metrics": self.metrics, "seconds": self.seconds, "notes": self.notes}
         content["pictures"] = [[caption, path.name] for caption, path in self.pictures]
         write_text_atomically(self.run_dir / f"done_{stage}.json", json.dumps(content, indent=2) + "\n")
 
     def recall(self, stage: str) -> bool:
-        """Take over the figures of a stage that an interrupted run in this folder has done; say whether there was one."""
+        """Take over the figures of a stage that an interrupted run in this folder has done; say whether it was."""
         path = self.run_dir / f"done_{stage}.json"
         if not path.exists():
             return False

@@ -37,7 +37,7 @@ def plan(context: RunContext, task: GraspTask, target: str) -> None:
         spent += time.perf_counter() - started
         if isinstance(answer, GraspPlan):
             found += 1
-            context.hook.icub_grasp_selected(grasp=answer.grasp)
+            context.events.emit("icub_grasp_selected", grasp=answer.grasp)
         context.progress((number + 1) / PLANS_TRIED, f"{found} of {number + 1} placements have a plan")
     context.record({"plan.share_with_plan": found / PLANS_TRIED, "plan.seconds_each": spent / PLANS_TRIED})
 
@@ -108,4 +108,3 @@ class Film:
             verdict = "grasped" if results.success[episode] else "failed"
             film += [captioned(p, f"{results.objects[episode]}, episode {episode}: {verdict}") for p in pictures]
         return film
-

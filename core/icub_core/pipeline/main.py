@@ -2,117 +2,111 @@
 
 from __future__ import annotations
 
+import functools
 import logging
+import sys
+import time
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from icub_core import registry
+from icub_core.config.assembly import Assembly
+from icub_core.config.settings import build_scene, to_dataclass
 from icub_core.errors import ConfigError
 from icub_core.grasping.env import GraspEnv
-from icub_core.grasping.plan import MaskProvider
-from icub_core.grasping.task import GraspTask
-from icub_core.interfaces.grasp_generator import GraspGenerator
+from icub_core.grasping.task import GraspTask, TaskSettings
+from icub_core.hooks import Events
 from icub_core.interfaces.object_set import ObjectSet
-from icub_core.interfaces.policy import Policy
-from icub_core.interfaces.robot import Robot
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.pipeline import grasping, seeing
+from icub_core.pipeline.console import ConsoleView
 from icub_core.pipeline.context import RunContext
 from icub_core.pipeline.report import write_metrics, write_provenance, write_report
-from icub_core.pipeline.settings import GraspSettings, MainSettings
-from icub_core.scene import ObjectSpec, Scene
+from icub_core.pipeline.settings import MainSettings
+from icub_core.scene import ObjectSpec
 
 logger = logging.getLogger(__name__)
-Settings = TypeVar("Settings")
 
 STRANGERS_SET = "random1000"
 STRANGER_SIZE = (0.08, 0.2)
 """Smallest and largest extent to which strangers are scaled, metres: sizes alone must not give the targets away."""
 
 
-def typed_settings(cfg: DictConfig, key: str, schema: type[Settings]) -> Settings:
-    """Return the node `key` as the dataclass `schema`; ConfigError for unknown keys and wrong types."""
-    try:
-        merged = OmegaConf.merge(OmegaConf.structured(schema), cfg.get(key) or {})
-        return cast(Settings, OmegaConf.to_object(merged))
-    except OmegaConfBaseException as cause:
-        raise ConfigError(f"{key}: {str(cause).splitlines()[0]}") from cause
-
-
-def run(cfg: DictConfig, run_dir: Path, hook: Any) -> dict[str, Any]:
+def run(cfg: DictConfig, run_dir: Path) -> dict[str, Any]:
     """Do every stage whose plugin was chosen and write the run folder.
 
     Args:
         cfg: Composed configuration.
         run_dir: Where everything is written; stages that an interrupted run has finished there are not done again.
-        hook: Relay of hook calls.
 
     Returns:
         The flat figures of metrics.json.
     """
-    settings = typed_settings(cfg, "pipeline", MainSettings)
-    context = RunContext(run_dir, int(cfg.seed), hook)
-    write_provenance(run_dir, context.seed, command=f"icub run {' '.join(cfg.get('command_line') or [])}".strip())
-    robot = registry.build("robot", cfg.robot)
-    objects = registry.build("objects", cfg.objects)
-    segmenter = _segmenter(cfg) if cfg.segmenter else None
-    policy = registry.build("policy", cfg.policy) if cfg.policy else None
-    generator = registry.build("grasp_generator", cfg.grasp_generator) if cfg.grasp_generator else None
-    _check_objects(objects, settings)
-
-    if segmenter is None:
-        context.note("no segmenter was chosen: masks are the simulator's ground truth")
-    else:
-        _learn_to_see(context, cfg, robot, objects, segmenter, settings)
-    if policy is None:
-        context.note("no policy was chosen: nothing is grasped; add +policy=NAME")
-    elif generator is None:
-        raise ConfigError("a policy needs grasp poses; choose grasp_generator=superquadrics")
-    else:
-        _grasp(context, cfg, robot, objects, segmenter, generator, policy, settings)
-    _finish(context, cfg)
+    events = Events.discover([ConsoleView()])
+    context = RunContext(run_dir, int(cfg.seed), events)
+    config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
+    write_provenance(run_dir, context.seed, command=" ".join(["icub", *sys.argv[1:]]))
+    events.emit("icub_run_start", config=config, run_dir=run_dir)
+    error: BaseException | None = None
+    started = time.perf_counter()
+    try:
+        _stages(context, cfg, cast(MainSettings, to_dataclass(cfg.pipeline)))
+        _finish(context, cfg, time.perf_counter() - started)
+    except BaseException as cause:
+        error = cause
+        raise
+    finally:
+        events.emit("icub_run_end", metrics=context.metrics, run_dir=run_dir, error=error)
     return context.metrics
 
 
-def _check_objects(objects: ObjectSet, settings: MainSettings) -> None:
+def _stages(context: RunContext, cfg: DictConfig, settings: MainSettings) -> None:
+    plugins = Assembly(cfg)
+    objects = plugins.get("objects")
     for name in (*settings.teach.objects, settings.grasp.target):
-        objects.get(name)
+        objects.get(name)  # a misspelt name must not wait until its stage
+    for kind in ("segmenter", "policy", "grasp_generator"):
+        if plugins.chosen(kind):
+            plugins.get(kind)  # nor a misspelt parameter or a missing weight file
+    segmenter = plugins.get("segmenter") if plugins.chosen("segmenter") else None
+    if segmenter is None:
+        context.note("no segmenter was chosen: masks are the simulator's ground truth")
+    else:
+        _learn_to_see(context, plugins, segmenter, settings)
+    if not plugins.chosen("policy"):
+        context.note("no policy was chosen: nothing is grasped; add +policy=NAME")
+        return
+    if not plugins.chosen("grasp_generator"):
+        raise ConfigError("a policy starts from a grasp pose; choose grasp_generator=superquadrics")
+    env = grasp_env(cfg, plugins, segmenter, settings, context.seed)
+    try:
+        with context.stage("plan"):
+            grasping.plan(context, env.batch.tasks[0], settings.grasp.target)
+        with context.stage("grasp"):
+            grasping.grasp(context, env, plugins.get("policy"), settings.grasp)
+    finally:
+        env.close()
 
 
-def _segmenter(cfg: DictConfig) -> Segmenter:
-    if not cfg.feature_extractor or not cfg.online_head:
-        raise ConfigError(
-            "a segmenter needs feature_extractor=NAME and online_head=NAME; segmenter=falkon brings compact and falkon"
-        )
-    return registry.build(
-        "segmenter",
-        cfg.segmenter,
-        feature_extractor=registry.build("feature_extractor", cfg.feature_extractor),
-        online_head=registry.factory("online_head", cfg.online_head),
-    )
-
-
-def _learn_to_see(
-    context: RunContext, cfg: DictConfig, robot: Robot, objects: ObjectSet, segmenter: Segmenter, settings: MainSettings
-) -> None:
+def _learn_to_see(context: RunContext, plugins: Assembly, segmenter: Segmenter, settings: MainSettings) -> None:
     heads = context.run_dir / "segmenter"
     if context.recall("see"):
         segmenter.load(heads)
-        logger.info("stages teach, learn and see were done before in %s", context.run_dir)
+        logger.info("the stages teach, learn and see were done before in %s", context.run_dir)
         return
-    simulator = registry.build("simulator", cfg.simulator)
+    simulator, objects = plugins.fresh("simulator"), plugins.get("objects")
+    robot = plugins.get("robot").description
     try:
         with context.stage("teach"):
-            seeing.teach(context, simulator, robot.description, objects, segmenter, settings.teach)
+            seeing.teach(context, simulator, robot, objects, segmenter, settings.teach)
         with context.stage("learn"):
             seeing.learn(context, segmenter)
         with context.stage("see"):
             targets = [objects.get(name) for name in settings.teach.objects]
             strangers = _strangers(context, objects, settings)
-            seeing.see(context, simulator, robot.description, targets, strangers, segmenter, settings.see)
+            seeing.see(context, simulator, robot, targets, strangers, segmenter, settings.see)
     finally:
         simulator.close()
     segmenter.save(heads)
@@ -129,51 +123,35 @@ def _strangers(context: RunContext, objects: ObjectSet, settings: MainSettings) 
     return rest + [random.get(random.names[i]) for i in sorted(drawn)]
 
 
-def _grasp(
-    context: RunContext,
-    cfg: DictConfig,
-    robot: Robot,
-    objects: ObjectSet,
-    segmenter: Segmenter | None,
-    generator: GraspGenerator,
-    policy: Policy,
-    settings: MainSettings,
-) -> None:
-    env = grasp_env(cfg, robot, objects, generator, segmenter, settings.grasp, context.seed)
-    try:
-        with context.stage("plan"):
-            grasping.plan(context, env.batch.tasks[0], settings.grasp.target)
-        with context.stage("grasp"):
-            grasping.grasp(context, env, policy, settings.grasp)
-    finally:
-        env.close()
-
-
 def grasp_env(
-    cfg: DictConfig,
-    robot: Robot,
-    objects: ObjectSet,
-    generator: GraspGenerator,
-    segmenter: Segmenter | None,
-    settings: GraspSettings,
-    seed: int,
+    cfg: DictConfig, plugins: Assembly, segmenter: Segmenter | None, settings: MainSettings, seed: int
 ) -> GraspEnv:
-    """Build the worlds in which the target is grasped."""
-    masks: MaskProvider | None = None
-    if segmenter is not None:
-        seer = segmenter
-        masks = lambda frame, name: seeing.find_mask(seer, frame, name)  # noqa: E731  # one use, no name needed
-    scene = Scene(objects=(objects.get(settings.target),), timestep=float(cfg.scene.timestep))
+    """Build the worlds in which the target is grasped.
+
+    Args:
+        cfg: Composed configuration, for the scene.
+        plugins: Of the run.
+        segmenter: Finds the target in the picture; None takes the simulator's ground truth.
+        settings: Of the pipeline.
+        seed: Of the starts.
+    """
+    masks = functools.partial(seeing.find_mask, segmenter) if segmenter is not None else None
+    target = settings.grasp.target
+    scene = build_scene(cfg.scene, [plugins.get("objects").get(target)])
+    robot, generator = plugins.get("robot"), plugins.get("grasp_generator")
     tasks = []
-    for world in range(settings.worlds):
-        simulator = registry.build("simulator", cfg.simulator)
+    for world in range(settings.grasp.worlds):
+        simulator = plugins.fresh("simulator")
         simulator.load(robot.description, scene)
-        tasks.append(GraspTask(simulator, robot, generator, [settings.target], masks=masks, seed=seed + world))
-    return GraspEnv(tasks, pool_size=settings.starts, threads=settings.threads, seed=seed)
+        tasks.append(
+            GraspTask(simulator, robot, generator, [target], masks=masks, settings=TaskSettings(), seed=seed + world)
+        )
+    return GraspEnv(tasks, pool_size=settings.grasp.starts, threads=settings.grasp.threads, seed=seed)
 
 
-def _finish(context: RunContext, cfg: DictConfig) -> None:
-    context.metrics["run.seconds"] = sum(context.seconds.values())
+def _finish(context: RunContext, cfg: DictConfig, seconds: float) -> None:
+    # a run that goes on where another was interrupted counts the other's stages too
+    context.metrics["run.seconds"] = max(seconds, sum(context.seconds.values()))
     write_metrics(context.run_dir, context.metrics)
     write_report(
         context.run_dir,

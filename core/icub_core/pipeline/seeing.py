@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import ConfigError, DataError
@@ -14,7 +15,7 @@ from icub_core.interfaces.segmenter import Segmenter
 from icub_core.interfaces.simulator import Simulator
 from icub_core.pipeline.appearance import random_light, random_surface
 from icub_core.pipeline.context import RunContext
-from icub_core.pipeline.pictures import contact_sheet, draw_instances, save_picture
+from icub_core.pipeline.pictures import Image, contact_sheet, draw_instances, save_picture
 from icub_core.pipeline.settings import SeeSettings, TeachSettings
 from icub_core.pipeline.tabletop import Tabletop, tabletop_pictures
 from icub_core.pipeline.teacher import Showing, annotate, show
@@ -37,7 +38,7 @@ def teach(
         raise ConfigError("pipeline.teach.objects is empty; expected at least one name of the object set")
     specs = [objects.get(name) for name in settings.objects]
     rng = context.rng("teach")
-    samples = []
+    samples: list[Image] = []
     annotated = 0
     for number, spec in enumerate(specs):
         table = Table(material=random_surface(rng))
@@ -54,7 +55,9 @@ def teach(
             if seen == settings.frames // 2:
                 samples.append(draw_instances(frame.rgb, (instance,)))
         if seen == 0:
-            raise DataError(f"no frame of '{spec.name}' gave a mask that agrees with its neighbours; show it more slowly")
+            raise DataError(
+                f"no frame of '{spec.name}' gave a mask that agrees with its neighbours; show it more slowly"
+            )
         annotated += seen
     context.record({"teach.objects": len(specs), "teach.frames": annotated})
     _sheet(context, "Taught: masks from depth", "taught.png", samples)
@@ -79,7 +82,7 @@ def see(
     """Examine the segmenter on the table, among objects it never saw."""
     truths: list[tuple[Instance, ...]] = []
     predictions: list[tuple[Instance, ...]] = []
-    examples = []
+    examples: list[Image] = []
     pictures = tabletop_pictures(
         simulator, robot, targets, strangers, Tabletop(frames=settings.frames), context.rng("see")
     )
@@ -105,13 +108,13 @@ def confident(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     return tuple(best.values())
 
 
-def find_mask(segmenter: Segmenter, frame: RgbdFrame, name: str) -> np.ndarray | None:
+def find_mask(segmenter: Segmenter, frame: RgbdFrame, name: str) -> NDArray[np.bool_] | None:
     """Return the mask of the best instance called `name`, or None when the segmenter does not see it."""
     candidates = [instance for instance in segmenter.segment(frame) if instance.label == name]
     return max(candidates, key=lambda instance: instance.score).mask if candidates else None
 
 
-def _sheet(context: RunContext, caption: str, file_name: str, images: Sequence[np.ndarray]) -> None:
+def _sheet(context: RunContext, caption: str, file_name: str, images: Sequence[Image]) -> None:
     if images:
         path = context.run_dir / file_name
         save_picture(path, contact_sheet(images, SHEET_COLUMNS))

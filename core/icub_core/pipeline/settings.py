@@ -16,7 +16,11 @@ class TeachSettings:
 
     objects: list[str] = field(
         default_factory=lambda: [
-            "004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle", "010_potted_meat_can", "021_bleach_cleanser",
+            "004_sugar_box",
+            "005_tomato_soup_can",
+            "006_mustard_bottle",
+            "010_potted_meat_can",
+            "021_bleach_cleanser",
         ]  # fmt: skip
     )
     frames: int = 60

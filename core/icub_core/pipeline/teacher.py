@@ -44,7 +44,9 @@ def _smooth_path(rng: np.random.Generator, frames: int) -> NDArray[np.float64]:
     return 0.5 * (np.sin(frequency[0] * t + phase[0]) + np.sin(frequency[1] * t + phase[1]))
 
 
-def show(simulator: Simulator, name: str, showing: Showing, rng: np.random.Generator, camera: str = "head_cam") -> Iterator[RgbdFrame]:
+def show(
+    simulator: Simulator, name: str, showing: Showing, rng: np.random.Generator, camera: str = "head_cam"
+) -> Iterator[RgbdFrame]:
     """Move object `name` about in front of the head and yield what the camera sees.
 
     The gaze follows the blob that the robot itself found in the frame before (thesis 11.8), so it drifts as it would
@@ -71,7 +73,9 @@ def show(simulator: Simulator, name: str, showing: Showing, rng: np.random.Gener
     for i in range(showing.frames):
         axis += 0.4 * rng.normal(size=3)  # the wrist keeps changing its mind: all sides come into view
         R = rotation_exp(showing.turn * axis / np.linalg.norm(axis)) @ R
-        position = eye + distances[i] * (forward + 0.25 * path[i, 1] * side + (0.15 * path[i, 2] - 0.3) * np.array([0, 0, 1.0]))
+        position = eye + distances[i] * (
+            forward + 0.25 * path[i, 1] * side + (0.15 * path[i, 2] - 0.3) * np.array([0, 0, 1.0])
+        )
         simulator.set_object_pose(name, make_transform(R, position))
         picture = simulator.render(
             camera, showing.width, showing.height, look_at=position if gaze is None else gaze
