@@ -1,0 +1,91 @@
+"""The command ``icub``. Only the standard library is imported here; each command imports what it needs.
+
+Exit codes: 0 all well; 1 a run or a check failed; 2 the command line or the configuration is wrong; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from icub_core import __version__
+from icub_core.errors import ConfigError, IcubError, PluginError
+
+DEBUG_VARIABLE = "ICUB_DEBUG"
+"""Environment variable that asks for tracebacks."""
+
+COMMANDS = {
+    "run": "compose a robot, its senses and its skills, and run them: icub run +segmenter=falkon +policy=resprect",
+    "train": "train what a plugin ships with: icub train feature_extractor=compact",
+    "benchmark": "measure figures: icub benchmark NAME",
+    "plugins": "list, show or check plugins",
+    "completion": "print the completion script of a shell",
+}
+"""Commands and their one-line help; ``icub X`` is the function `main` of icub_core.commands.X."""
+
+EPILOG = f"icub COMMAND --help says more. {DEBUG_VARIABLE}=1 shows tracebacks of expected errors too."
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C in a command that can be continued; the message says how."""
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the first word; everything after it belongs to the command."""
+    commands = "\n".join(f"  {name:<12}{text}" for name, text in COMMANDS.items())
+    made = argparse.ArgumentParser(
+        prog="icub",
+        usage="icub [-h] [--version] COMMAND ...",
+        description=f"See, grasp, compose: perception and grasping for the iCub.\n\ncommands:\n{commands}",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    made.add_argument("--version", action="version", version=f"icub {__version__}")
+    made.add_argument("command", metavar="COMMAND", help=argparse.SUPPRESS)
+    return made
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return _dispatch(words)
+    except Interrupted as interruption:
+        return _say(str(interruption), 130)
+    except KeyboardInterrupt:
+        return _say("icub: interrupted", 130)
+    except BrokenPipeError:  # the reader of a pipe has gone, such as `head`
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  # stays open until the interpreter flushes it
+        return 0
+    except IcubError as error:
+        if os.environ.get(DEBUG_VARIABLE) == "1":
+            raise
+        return _say(
+            f"icub: error: {' '.join(str(error).split())}", 2 if isinstance(error, (ConfigError, PluginError)) else 1
+        )
+
+
+def _dispatch(words: list[str]) -> int:
+    made = parser()
+    # what follows the command is cut off before argparse, so that flags for Hydra pass through
+    command = made.parse_args(words[:1] or ["--help"]).command
+    if command not in (*COMMANDS, "_complete"):
+        from icub_core.errors import unknown_name
+
+        raise ConfigError(unknown_name("command", command, COMMANDS))
+    module = "completion" if command == "_complete" else command
+    function = "complete" if command == "_complete" else "main"
+    code: int = getattr(importlib.import_module(f"icub_core.commands.{module}"), function)(words[1:])
+    return code
+
+
+def _say(line: str, code: int) -> int:
+    sys.stderr.write(line + "\n")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,134 @@
+"""``icub plugins``: what is installed, what it takes, whether it keeps its kind's contract."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from icub_core.errors import ConfigError, PluginError, unknown_name
+from icub_core.kinds import KINDS, get_kind
+from icub_core.registry import PluginInfo, available, info
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run ``icub plugins``; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="icub plugins", description="What is installed, and whether it works.")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="list|show|check")
+    listing = actions.add_parser("list", help="every plugin of every kind; imports none of them")
+    listing.add_argument("kind", nargs="?", help=f"only this kind: {', '.join(KINDS)}")
+    listing.add_argument("--markdown", action="store_true", help="as the table of the README")
+    showing = actions.add_parser("show", help="parameters, types and defaults of a plugin")
+    showing.add_argument("words", nargs="+", metavar="[KIND] NAME")
+    checking = actions.add_parser("check", help="try the contract of a kind on a plugin")
+    checking.add_argument("kind", metavar="KIND")
+    checking.add_argument("name", metavar="NAME", nargs="?", help="a plugin; without it --all")
+    checking.add_argument("--all", action="store_true", help="every plugin of the kind")
+    options = parser.parse_args(list(arguments))
+    if options.action == "list":
+        plugins = every_plugin(options.kind)
+        sys.stdout.write(markdown_table(plugins) if options.markdown else plain_table(plugins))
+        return 0
+    if options.action == "show":
+        return _show(options.words)
+    names = sorted(available(options.kind)) if options.all or options.name is None else [options.name]
+    from icub_core.commands.check import check_plugins
+
+    return check_plugins(options.kind, names)
+
+
+def every_plugin(kind: str | None = None) -> list[PluginInfo]:
+    """Return all plugins, of one kind when it is given, in the order of the kinds."""
+    kinds = [get_kind(kind).name] if kind is not None else list(KINDS)
+    return [plugin for name in kinds for plugin in available(name).values()]
+
+
+def summary(plugin: PluginInfo) -> str:
+    """Return the first line of a plugin's docstring, read from its file without importing anything; "" if not found."""
+    module, _, cls = plugin.target.partition(":")
+    file = _source(module)
+    if file is None:
+        return ""
+    match = re.search(
+        rf'^class {re.escape(cls)}\b[^\n]*?(?:\([^)]*\))?:\s*\n\s+r?"""(.+?)(?:"""|\n)',
+        file.read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
+    return match[1].strip().rstrip(".") if match else ""
+
+
+def _source(module: str) -> Path | None:
+    top, *rest = module.split(".")
+    try:
+        spec = find_spec(top)
+    except (ImportError, ValueError):
+        return None
+    if spec is None:
+        return None
+    if not spec.submodule_search_locations:
+        return Path(spec.origin) if spec.origin and not rest else None
+    for place in spec.submodule_search_locations:
+        base = Path(place, *rest)
+        for file in (base.with_suffix(".py"), base / "__init__.py"):
+            if file.is_file():
+                return file
+    return None
+
+
+def plain_table(plugins: Sequence[PluginInfo]) -> str:
+    """Return the plugins as aligned text."""
+    rows = [("KIND", "NAME", "WHAT IT IS", "FROM")]
+    rows += [(p.kind, p.name, _doubtful(p) or summary(p), p.distribution) for p in plugins]
+    widths = [max(len(row[i]) for row in rows) for i in range(3)]
+    return "".join(f"{k:<{widths[0]}}  {n:<{widths[1]}}  {s:<{widths[2]}}  {d}".rstrip() + "\n" for k, n, s, d in rows)
+
+
+def markdown_table(plugins: Sequence[PluginInfo]) -> str:
+    """Return the plugins as the table of the README, kinds without a plugin included."""
+    lines = ["| kind | name | what it is |", "| --- | --- | --- |"]
+    for plugin in plugins:
+        lines.append(f"| {plugin.kind} | `{plugin.name}` | {summary(plugin).replace('|', chr(92) + '|')} |")
+    return "\n".join(lines) + "\n"
+
+
+def _doubtful(plugin: PluginInfo) -> str:
+    return f"CANNOT BE USED: also announced by {', '.join(plugin.rivals)}" if plugin.rivals else ""
+
+
+def _show(words: Sequence[str]) -> int:
+    for plugin in _find(words):
+        sys.stdout.write(description(plugin))
+    return 0
+
+
+def _find(words: Sequence[str]) -> list[PluginInfo]:
+    """Return the plugins meant by ``NAME`` or ``KIND NAME``; a name may exist in several kinds."""
+    if len(words) > 2:
+        raise ConfigError(f"'{' '.join(words)}' is not NAME or KIND NAME")
+    if len(words) == 2:
+        return [info(words[0], words[1])]
+    found = [plugin for plugin in every_plugin() if plugin.name == words[0]]
+    if not found:
+        raise PluginError(unknown_name("plugin", words[0], {p.name for p in every_plugin()}))
+    return found
+
+
+def description(plugin: PluginInfo) -> str:
+    """Import a plugin and return its docstring and parameters as text."""
+    from icub_core.config.schema import signature, type_name
+    from icub_core.registry import load
+
+    cls = load(plugin.kind, plugin.name)
+    parts = signature(plugin.kind, plugin.name, cls)
+    lines = [f"{plugin.kind}={plugin.name}   ({plugin.target}, from {plugin.distribution})", ""]
+    lines += [f"  {line}".rstrip() for line in (cls.__doc__ or "(no description)").strip().splitlines()[:1]]
+    lines.append("")
+    for parameter in parts.parameters.values():
+        default = "required" if parameter.required else f"= {parameter.default!r}"
+        lines.append(f"  {plugin.kind}.{parameter.name}: {type_name(parameter.annotation)} {default}")
+    for parameter in parts.dependencies.values():
+        lines.append(f"  needs {parameter.name}" + ("" if parameter.required else " (optional)"))
+    return "\n".join(lines) + "\n\n"
