@@ -1,0 +1,1 @@
+"""Feature extractors: pre-trained networks that propose and describe regions."""
