@@ -81,6 +81,14 @@ class Simulator(ABC):
     def robot_state(self) -> RobotState:
         """Joint positions and velocities, actuator lengths, fingertip contacts of the right hand with any object."""
 
+    def joint_positions(self) -> NDArray[np.float64]:
+        """Joint positions (n,), rad: `robot_state().q` for those who need nothing else."""
+        return self.robot_state().q
+
+    def actuator_positions(self) -> NDArray[np.float64]:
+        """Actuated lengths (m,), rad: `robot_state().actuator_positions` for those who need nothing else."""
+        return self.robot_state().actuator_positions
+
     @abstractmethod
     def fingertip_contacts(self, hand: str = "right") -> NDArray[np.bool_]:
         """Which of the five fingertips touch any object: thumb, index, middle, ring, little."""

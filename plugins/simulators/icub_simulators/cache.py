@@ -8,16 +8,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from icub_core.files import write_atomically
 from numpy.typing import NDArray
+
+from icub_core.files import write_atomically
 
 Arrays = dict[str, NDArray]
 
 
 def cache_folder(name: str) -> Path:
-    """Return (and make) the folder `name` under ``$ICUB_CACHE``, or under ``~/.cache/icub-kit``."""
-    root = os.environ.get("ICUB_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "icub-kit"
-    folder = Path(root) / name
+    """Return (and make) the folder `name` under ``$XDG_CACHE_HOME/icub-kit``, or ``~/.cache/icub-kit``."""
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    folder = root / "icub-kit" / name
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 

@@ -6,11 +6,12 @@ import zlib
 from pathlib import Path
 
 import numpy as np
+
 from icub_core.errors import ConfigError, DataError, unknown_name
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.scene import Material, ObjectSpec
-
 from icub_simulators.objects.meshes import MESH_SUFFIXES, check_size, convex_pieces, read_mesh, solid_object
+from icub_simulators.objects.solids import hull_volume
 from icub_simulators.objects.textures import PATTERNS, print_texture, random_ink
 
 
@@ -78,12 +79,12 @@ class Folder(ObjectSet):
         check_size(path, vertices)
         rng = np.random.default_rng(zlib.crc32(name.encode()))
         pattern = PATTERNS[int(rng.integers(len(PATTERNS)))]
+        pieces = convex_pieces(vertices, faces, self._pieces, self._concavity)
         return solid_object(
             name,
-            convex_pieces(vertices, faces, self._pieces, self._concavity),
+            pieces,
             surface=(vertices, faces),
-            density=self._density,
-            mass=None,
+            mass=self._density * sum(hull_volume(p) for p in pieces),
             material=Material(texture=print_texture(pattern, random_ink(rng), random_ink(rng), 0)),
             friction=(self._friction, 0.005, 0.0001),
         )

@@ -6,11 +6,11 @@ import logging
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+
 from icub_core.errors import DataError
 from icub_core.geometry import quat_wxyz_to_matrix
 from icub_core.scene import Geom, Material, ObjectSpec, Vec3
-from numpy.typing import NDArray
-
 from icub_simulators.cache import Arrays, cache_folder, cached_arrays, content_key
 from icub_simulators.objects.solids import RestPose, center_of_mass, hull_volume, rest_pose
 
@@ -114,8 +114,7 @@ def solid_object(
     pieces: list[FloatArray],
     *,
     surface: tuple[FloatArray, IntArray] | None,
-    density: float | None,
-    mass: float | None,
+    mass: float,
     material: Material,
     friction: Vec3,
     rest: RestPose | None = None,
@@ -126,7 +125,6 @@ def solid_object(
         name: Of the object.
         pieces: (N_i, 3) vertices of each convex piece.
         surface: Vertices and faces to draw; None draws the pieces.
-        density: kg/m^3 of the hull's volume, where `mass` is None.
         mass: kg.
         material: Look.
         friction: Sliding, torsional, rolling.
@@ -142,8 +140,6 @@ def solid_object(
     if rest is None:
         rest = rest_pose(everything, center_of_mass(pieces))
     lowest = float((everything @ quat_wxyz_to_matrix(rest.quat_wxyz)[2]).min())
-    if mass is None:
-        mass = (density or 0.0) * sum(hull_volume(p) for p in pieces)
     visual: tuple[Geom, ...] = ()
     if surface is not None:
         visual = (Geom("mesh", mesh=_write_obj(surface[0] - middle, surface[1])),)

@@ -9,12 +9,12 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+
 from icub_core.errors import ConfigError, DataError, unknown_name
 from icub_core.geometry import quat_wxyz_to_matrix
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.scene import Material, ObjectSpec
-from numpy.typing import NDArray
-
 from icub_simulators.cache import Arrays, cached_arrays, content_key
 from icub_simulators.objects.meshes import solid_object
 from icub_simulators.objects.solids import (
@@ -37,6 +37,8 @@ MASS = 0.1
 """Kilograms at the true size, from their URDFs."""
 DENSITY = 500.0
 """kg/m^3 of a resized object; between a full cracker box (210) and a full can (1000)."""
+LIGHTEST = 0.03
+"""Kilograms of a resized object; slender shapes would weigh a gram."""
 MOST_PIECES = 16
 HAND_WIDTH = (0.040, 0.062)
 """Metres that a resized object leaves between thumb and fingers; 38 to 66 mm were seen to be held."""
@@ -57,7 +59,7 @@ class Random1000(ObjectSet):
 
     Args:
         size: Lowest and highest largest extent in metres; each object is resized to a length drawn in between (always
-            the same for one object and range) and weighs 500 kg/m^3. None keeps the true size and 0.1 kg.
+            the same for one object and range) and weighs 500 kg/m^3, at least 30 g. None keeps the true size and 0.1 kg.
         graspable: Resize each object for the iCub's hand instead: in the lowest stable pose that allows it, its
             narrowest horizontal width is 40 to 62 mm (drawn once an object), its height 50 to 250 mm and its largest
             extent within `size` (7 to 22 cm where none is given). Objects that cannot be are left out.
@@ -150,15 +152,17 @@ def _build(root: Path, name: str, size: tuple[float, float] | None, graspable: b
     elif size is not None:
         length = np.random.default_rng(_seed(name, "size")).uniform(*size)
         factor = length / float(np.ptp(np.concatenate(pieces), axis=0).max())
+    pieces = [factor * p for p in pieces]
+    resized = graspable or size is not None
+    mass = max(DENSITY * sum(hull_volume(p) for p in pieces), LIGHTEST) if resized else MASS
     rng = np.random.default_rng(_seed(name, "look"))
     pattern = PATTERNS[int(rng.integers(len(PATTERNS)))]
     texture = print_texture(pattern, random_ink(rng), random_ink(rng), _seed(name, "print"))
     return solid_object(
         name,
-        [factor * p for p in pieces],
+        pieces,
         surface=None,
-        density=DENSITY,
-        mass=MASS if size is None and not graspable else None,
+        mass=mass,
         material=Material(texture=texture),
         friction=(0.5, 0.005, 0.0001),
         rest=rest,

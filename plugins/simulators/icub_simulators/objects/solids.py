@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
 from icub_core.errors import DataError
 from icub_core.geometry import matrix_to_quat_wxyz
 from icub_core.scene import QuatWxyz
-from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 FloatArray = NDArray[np.float64]
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.scene import Geom, Material, ObjectSpec, QuatWxyz, Vec3
-
 from icub_simulators.objects.textures import Pattern, Rgb, print_texture
 
 FRICTION: Vec3 = (0.5, 0.005, 0.0001)  # of the YCB objects in the thesis's scene

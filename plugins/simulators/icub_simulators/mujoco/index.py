@@ -1,0 +1,101 @@
+"""Where things stand in the arrays of a compiled model, looked up once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from icub_core.robot_description import RobotDescription
+from icub_core.scene import Scene
+from icub_simulators.mujoco.builder import OBJECT_PREFIX
+
+IntArray = NDArray[np.intp]
+Indexer = IntArray | slice
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectSlots:
+    """One object's place: 7 numbers of qpos, 6 of qvel."""
+
+    body: int
+    qpos: slice
+    qvel: slice
+
+
+@dataclass(frozen=True, eq=False)
+class Index:
+    """Places in a model.
+
+    Attributes:
+        qpos, qvel: Of the robot's joints in the description's order; a slice where they are contiguous.
+        lengths: (A, b): actuator lengths are A q + b.
+        bodies: Body number by link name.
+        objects: By object name.
+        object_of_geom: (ngeom,) index into the scene's objects, -1 for the rest.
+        robot_geom: (ngeom,) bool.
+        fingertip_of_geom: By hand: (ngeom,) 0..4 for thumb to little, -1 for the rest.
+        velocity_limits: (nv,) speed beyond which nothing physical moves, rad/s and m/s.
+    """
+
+    qpos: Indexer
+    qvel: Indexer
+    lengths: tuple[NDArray[np.float64], NDArray[np.float64]]
+    bodies: dict[str, int]
+    objects: dict[str, ObjectSlots]
+    object_of_geom: NDArray[np.int32]
+    robot_geom: NDArray[np.bool_]
+    fingertip_of_geom: dict[str, NDArray[np.int8]]
+    velocity_limits: NDArray[np.float64]
+
+
+FASTEST_JOINT = 200.0  # rad/s; the fastest finger moves at about 10
+FASTEST_OBJECT = 30.0  # m/s; ten times that of a fall from the table
+FASTEST_SPIN = 500.0  # rad/s; a light object flicked by a finger reaches 100
+
+
+def build_index(model: mujoco.MjModel, robot: RobotDescription | None, scene: Scene) -> Index:
+    """Look everything up."""
+    joints = robot.joint_names if robot is not None else ()
+    links = _link_bodies(model, scene)
+    limits = np.full(model.nv, FASTEST_JOINT)
+    objects = {}
+    object_of_geom = np.full(model.ngeom, -1, np.int32)
+    for number, item in enumerate(scene.objects):
+        body = model.body(OBJECT_PREFIX + item.name)
+        start, first = int(model.jnt_qposadr[body.jntadr[0]]), int(body.dofadr[0])
+        objects[item.name] = ObjectSlots(int(body.id), slice(start, start + 7), slice(first, first + 6))
+        object_of_geom[model.geom_bodyid == body.id] = number
+        limits[first : first + 3], limits[first + 3 : first + 6] = FASTEST_OBJECT, FASTEST_SPIN
+    tips = {}
+    for hand, names in (robot.fingertips if robot is not None else {}).items():
+        tips[hand] = np.full(model.ngeom, -1, np.int8)
+        for finger, link in enumerate(names):
+            tips[hand][model.geom_bodyid == links[link]] = finger
+    n = len(joints)
+    return Index(
+        qpos=_indexer([int(model.joint(name).qposadr[0]) for name in joints]),
+        qvel=_indexer([int(model.joint(name).dofadr[0]) for name in joints]),
+        lengths=robot.actuator_matrix() if robot is not None else (np.zeros((0, n)), np.zeros(0)),
+        bodies=links,
+        objects=objects,
+        object_of_geom=object_of_geom,
+        robot_geom=np.isin(model.geom_bodyid, list(links.values())),
+        fingertip_of_geom=tips,
+        velocity_limits=limits,
+    )
+
+
+def _link_bodies(model: mujoco.MjModel, scene: Scene) -> dict[str, int]:
+    strangers = ("world", "furniture/table", *(OBJECT_PREFIX + item.name for item in scene.objects))
+    names = {model.body(i).name: i for i in range(model.nbody)}
+    return {name: i for name, i in names.items() if name not in strangers}
+
+
+def _indexer(places: list[int]) -> Indexer:
+    """Return a slice, whose reading is a view, when the places follow each other; else an index array."""
+    if places and places == list(range(places[0], places[0] + len(places))):
+        return slice(places[0], places[0] + len(places))
+    return np.array(places, dtype=np.intp)

@@ -1,0 +1,282 @@
+"""The physics of one compiled world: stepping, state, contacts, faults. Knows nothing about pictures."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from icub_core.data import RobotState
+from icub_core.errors import ConfigError, SimulationError, unknown_name
+from icub_core.geometry import matrix_to_quat_wxyz
+from icub_core.interfaces.simulator import Fault
+from icub_core.robot_description import RobotDescription
+from icub_core.scene import Scene
+from icub_simulators.mujoco.builder import build_physics, parking_place
+from icub_simulators.mujoco.index import ObjectSlots, build_index
+
+FloatArray = NDArray[np.float64]
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_NAN_WARNINGS = [
+    int(w)
+    for w in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+        mujoco.mjtWarning.mjWARN_BADCTRL,
+    )
+]
+_FULL_WARNINGS = [int(w) for w in (mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL)]
+_OBJECT, _OTHER = 10, 30  # fingers are 0..4: finger + object 10..14, two objects 20, anything else 30 and more
+
+
+class Physics:
+    """A model, its data, and where things stand in them.
+
+    Positions, contacts and velocities always belong to the same moment: a step ends with the position stage of the
+    next one (`mj_step1`), which the next step then leaves out, so that this costs nothing.
+    """
+
+    def __init__(self, robot: RobotDescription | None, scene: Scene) -> None:
+        self.robot = robot
+        self.scene = scene
+        self.model = build_physics(robot, scene)
+        self.data = mujoco.MjData(self.model)
+        self.index = build_index(self.model, robot, scene)
+        self.parked = np.ones(len(scene.objects), dtype=bool)
+        index = self.index
+        self._number = {item.name: i for i, item in enumerate(scene.objects)}
+        self._is_object = index.object_of_geom >= 0
+        self._A, self._b = index.lengths
+        self._low, self._high = self.model.actuator_ctrlrange.T.copy()
+        # views: MjData never moves its arrays
+        self._q = self.data.qpos[index.qpos] if isinstance(index.qpos, slice) else None
+        self._dq = self.data.qvel[index.qvel] if isinstance(index.qvel, slice) else None
+        self._ctrl, self._qvel = self.data.ctrl, self.data.qvel
+        self._ones = np.ones(self.model.nu)
+        self._speed = np.empty(self.model.nv)
+        self._per_speed = 1.0 / index.velocity_limits
+        self._tip_codes = {hand: self._contact_codes(tips) for hand, tips in index.fingertip_of_geom.items()}
+        self._stale = True
+        self._seen: set[Fault] = set()
+        self._clock = 0.0
+        self._half_step = 0.5 * scene.timestep
+        self.reset()
+
+    def reset(self) -> None:
+        """Time 0, home pose at rest, objects parked, faults cleared."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.parked[:] = True
+        self._apply_parked()
+        self._seen.clear()
+        self._clock = 0.0
+        if self.robot is not None:
+            self.set_joint_positions(self.robot.home_q)
+        self._stale = True
+
+    def step(self, n: int) -> None:
+        """Advance by n timesteps."""
+        if n <= 0:
+            return
+        model, data = self.model, self.data
+        if self._stale:
+            self._refresh()
+        mujoco.mj_step2(model, data)
+        if n > 1:
+            mujoco.mj_step(model, data, n - 1)
+        mujoco.mj_step1(model, data)
+        self._clock += n * self.scene.timestep
+        if abs(data.time - self._clock) > self._half_step:
+            self._seen.add(Fault.HIDDEN_RESET)
+            self._clock = data.time
+
+    def joint_positions(self) -> FloatArray:
+        """Return q (n,), rad."""
+        return self.data.qpos[self.index.qpos].copy() if self._q is None else self._q.copy()
+
+    def joint_velocities(self) -> FloatArray:
+        """Return dq (n,), rad/s."""
+        return self.data.qvel[self.index.qvel].copy() if self._dq is None else self._dq.copy()
+
+    def actuator_positions(self) -> FloatArray:
+        """Return the actuators' lengths (m,), rad."""
+        q = self.data.qpos[self.index.qpos] if self._q is None else self._q
+        return self._A @ q + self._b
+
+    def robot_state(self, contacts: NDArray[np.bool_]) -> RobotState:
+        """Bundle what the robot measures with the given fingertip contacts."""
+        return RobotState(self.joint_positions(), self.joint_velocities(), self.actuator_positions(), contacts)
+
+    def set_joint_positions(self, q: FloatArray) -> None:
+        """Teleport the robot, at rest, with targets that hold it."""
+        q = np.asarray(q, dtype=np.float64)
+        if q.shape != (self._A.shape[1],):
+            raise SimulationError(f"joint vector has shape {q.shape}; expected ({self._A.shape[1]},)")
+        if not np.all(np.isfinite(q)):
+            self._seen.add(Fault.NOT_A_NUMBER)
+            return
+        self.data.qpos[self.index.qpos] = q
+        self.data.qvel[self.index.qvel] = 0.0
+        self.data.qacc_warmstart[:] = 0.0
+        self.data.ctrl[:] = np.clip(self._A @ q + self._b, self._low, self._high)
+        self._stale = True
+
+    def set_targets(self, targets: FloatArray) -> None:
+        """Command every actuator; a command that is not finite is a fault and changes nothing."""
+        targets = np.asarray(targets, dtype=np.float64)
+        if targets.shape != self._low.shape:
+            raise SimulationError(
+                f"command has shape {targets.shape}; expected {self._low.shape}, one length an actuator"
+            )
+        # a sum is finite only if every command is; faster than isfinite().all()
+        if not math.isfinite(self._ones @ targets):
+            self._seen.add(Fault.NOT_A_NUMBER)
+            return
+        ctrl = self._ctrl
+        np.maximum(targets, self._low, out=ctrl)
+        np.minimum(ctrl, self._high, out=ctrl)
+
+    def targets(self) -> FloatArray:
+        """Return the present commands (m,), rad."""
+        return self.data.ctrl.copy()
+
+    def link_pose(self, link: str) -> FloatArray:
+        """Return T_world_link (4, 4)."""
+        body = self.index.bodies.get(link)
+        if body is None:
+            raise ConfigError(unknown_name("link", link, self.index.bodies))
+        if self._stale:
+            self._refresh()
+        T = np.zeros((4, 4))
+        T[:3, :3] = self.data.xmat[body].reshape(3, 3)
+        T[:3, 3] = self.data.xpos[body]
+        T[3, 3] = 1.0
+        return T
+
+    def object_pose(self, name: str) -> FloatArray:
+        """Return T_world_object (4, 4)."""
+        slots = self.slots(name)
+        if self._stale:
+            self._refresh()
+        T = np.zeros((4, 4))
+        T[:3, :3] = self.data.xmat[slots.body].reshape(3, 3)
+        T[:3, 3] = self.data.xpos[slots.body]
+        T[3, 3] = 1.0
+        return T
+
+    def set_object_pose(self, name: str, T_world_object: FloatArray) -> None:
+        """Teleport an object, at rest."""
+        slots = self.slots(name)
+        T = np.asarray(T_world_object, dtype=np.float64)
+        if not np.all(np.isfinite(T)):
+            self._seen.add(Fault.NOT_A_NUMBER)
+            return
+        self._place(slots, np.concatenate([T[:3, 3], matrix_to_quat_wxyz(T[:3, :3])]))
+        self._set_parked(name, False)
+
+    def park_object(self, name: str) -> None:
+        """Put an object far away, weightless."""
+        slots = self.slots(name)
+        self._place(slots, np.array([*parking_place(self._number[name]), 1.0, 0.0, 0.0, 0.0]))
+        self._set_parked(name, True)
+
+    def slots(self, name: str) -> ObjectSlots:
+        """Return an object's place; raises ConfigError for an unknown one."""
+        slots = self.index.objects.get(name)
+        if slots is None:
+            raise ConfigError(unknown_name("object in the scene", name, self.index.objects))
+        return slots
+
+    def fingertip_contacts(self, hand: str) -> NDArray[np.bool_]:
+        """Return (5,) bool: thumb, index, middle, ring, little touch any object."""
+        codes = self._tip_codes.get(hand)
+        if codes is None:
+            raise ConfigError(unknown_name("hand with fingertips", hand, self._tip_codes))
+        if self._stale:
+            self._refresh()
+        touched = np.zeros(2 * _OTHER + 1, dtype=bool)
+        if self.data.ncon:
+            pair = codes[self.data.contact.geom]  # (ncon, 2)
+            touched[pair[:, 0] + pair[:, 1]] = True
+        return touched[_OBJECT : _OBJECT + 5]
+
+    def _contact_codes(self, fingertip_of_geom: NDArray[np.int8]) -> NDArray[np.intp]:
+        """Number geoms such that only the sum of finger f and an object is `_OBJECT` + f."""
+        codes = np.full(self.model.ngeom, _OTHER, dtype=np.intp)
+        codes[self._is_object] = _OBJECT
+        fingers = fingertip_of_geom >= 0
+        codes[fingers] = fingertip_of_geom[fingers]
+        return codes
+
+    def touching(self, name: str) -> bool:
+        """Say whether the robot touches the object anywhere."""
+        self.slots(name)
+        if self._stale:
+            self._refresh()
+        if not self.data.ncon:
+            return False
+        geoms = self.data.contact.geom
+        other = self.index.object_of_geom[geoms] == self._number[name]
+        robot = self.index.robot_geom[geoms]
+        return bool(np.any(other[:, 0] & robot[:, 1]) or np.any(other[:, 1] & robot[:, 0]))
+
+    def save(self) -> FloatArray:
+        """Return everything that decides the future as one vector."""
+        size = mujoco.mj_stateSize(self.model, _STATE)
+        state = np.empty(size + len(self.parked))
+        mujoco.mj_getState(self.model, self.data, state[:size], _STATE)
+        state[size:] = self.parked
+        return state
+
+    def restore(self, state: FloatArray) -> None:
+        """Continue from `save`; raises SimulationError for a vector of another world."""
+        size = mujoco.mj_stateSize(self.model, _STATE)
+        state = np.ascontiguousarray(state, dtype=np.float64)
+        if state.shape != (size + len(self.parked),):
+            raise SimulationError(f"state has shape {state.shape}; this world's has ({size + len(self.parked)},)")
+        mujoco.mj_resetData(self.model, self.data)  # also forgets the warnings
+        mujoco.mj_setState(self.model, self.data, state[:size], _STATE)
+        self.parked[:] = state[size:] > 0.5
+        self._apply_parked()
+        self._seen.clear()
+        self._clock = self.data.time
+        self._stale = True
+
+    def faults(self) -> tuple[Fault, ...]:
+        """Return what went wrong since the last reset or restore."""
+        warnings = self.data.warning.number
+        if warnings.any():
+            if warnings[_NAN_WARNINGS].any():
+                self._seen.add(Fault.NOT_A_NUMBER)
+            if warnings[_FULL_WARNINGS].any():
+                self._seen.add(Fault.DROPPED_CONTACTS)
+        speed = np.multiply(self._qvel, self._per_speed, out=self._speed)
+        # cheap test first: squares that sum to less than 1 are each below 1; a NaN fails it
+        if not speed @ speed <= 1.0 and not np.all(np.abs(speed) <= 1.0):
+            finite = bool(np.all(np.isfinite(self._qvel)))
+            self._seen.add(Fault.EXPLODING_VELOCITY if finite else Fault.NOT_A_NUMBER)
+        return tuple(fault for fault in Fault if fault in self._seen) if self._seen else ()
+
+    def _place(self, slots: ObjectSlots, pose: FloatArray) -> None:
+        self.data.qpos[slots.qpos] = pose
+        self.data.qvel[slots.qvel] = 0.0
+        self.data.qacc_warmstart[slots.qvel] = 0.0
+        self._stale = True
+
+    def _set_parked(self, name: str, parked: bool) -> None:
+        number = self._number[name]
+        if self.parked[number] != parked:
+            self.parked[number] = parked
+            self._apply_parked()
+
+    def _apply_parked(self) -> None:
+        """Take the weight off parked objects, and off no other, so that they stay where they are."""
+        for item, parked in zip(self.scene.objects, self.parked, strict=True):
+            self.model.body_gravcomp[self.index.objects[item.name].body] = float(parked)
+
+    def _refresh(self) -> None:
+        mujoco.mj_step1(self.model, self.data)
+        self._stale = False

@@ -1,0 +1,141 @@
+"""Simulator plugin: MuJoCo."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from icub_core.data import RobotState
+from icub_core.errors import SimulationError
+from icub_core.interfaces.simulator import Fault, Rendering, Simulator
+from icub_core.robot_description import RobotDescription
+from icub_core.scene import CameraView, Scene
+from icub_simulators.mujoco.physics import Physics
+
+FloatArray = NDArray[np.float64]
+
+
+class Mujoco(Simulator):
+    """A world in MuJoCo.
+
+    Solver: Newton, elliptic friction cones, friction 20 times stiffer than the normal direction. With the engine's
+    defaults (pyramidal cones, ratio 1) fingers creep round what they hold and nearly every grasp fails.
+    """
+
+    def __init__(self) -> None:
+        self._physics: Physics | None = None
+
+    @property
+    def _world(self) -> Physics:
+        if self._physics is None:
+            raise SimulationError("no world is loaded; call load first")
+        return self._physics
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The engine's model, for experiments; changing it changes the world."""
+        return self._world.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The engine's data, for experiments."""
+        return self._world.data
+
+    def load(self, robot: RobotDescription | None, scene: Scene) -> None:
+        """Build the world."""
+        self._physics = Physics(robot, scene)
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that was loaded."""
+        return self._world.scene
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds since reset."""
+        return self._world.data.time
+
+    def reset(self) -> None:
+        """Home pose, zero velocity, objects parked, faults cleared."""
+        self._world.reset()
+
+    def set_joint_positions(self, q: FloatArray) -> None:
+        """Teleport the robot to `q` (n,)."""
+        self._world.set_joint_positions(q)
+
+    def set_targets(self, targets: FloatArray) -> None:
+        """Command every actuator, (m,) rad; a command that is not finite is dropped and reported by `faults`."""
+        self._world.set_targets(targets)
+
+    def step(self, n: int = 1) -> None:
+        """Advance physics by n timesteps."""
+        self._world.step(n)
+
+    def joint_positions(self) -> FloatArray:
+        """Joint positions (n,), rad."""
+        return self._world.joint_positions()
+
+    def actuator_positions(self) -> FloatArray:
+        """Actuated lengths (m,), rad."""
+        return self._world.actuator_positions()
+
+    def robot_state(self) -> RobotState:
+        """Joint positions and velocities, actuator lengths, fingertip contacts of the right hand."""
+        world = self._world
+        hands = world.index.fingertip_of_geom
+        contacts = world.fingertip_contacts("right") if "right" in hands else np.zeros(5, dtype=bool)
+        return world.robot_state(contacts)
+
+    def fingertip_contacts(self, hand: str = "right") -> NDArray[np.bool_]:
+        """Which of the five fingertips touch any object."""
+        return self._world.fingertip_contacts(hand)
+
+    def link_pose(self, link: str) -> FloatArray:
+        """T_world_link (4, 4)."""
+        return self._world.link_pose(link)
+
+    def object_pose(self, name: str) -> FloatArray:
+        """T_world_object (4, 4)."""
+        return self._world.object_pose(name)
+
+    def set_object_pose(self, name: str, T_world_object: FloatArray) -> None:
+        """Teleport an object, at rest."""
+        self._world.set_object_pose(name, T_world_object)
+
+    def park_object(self, name: str) -> None:
+        """Put an object where neither camera nor robot meets it."""
+        self._world.park_object(name)
+
+    def touching(self, name: str) -> bool:
+        """Whether the robot touches the object anywhere."""
+        return self._world.touching(name)
+
+    def render(
+        self,
+        camera: str | CameraView,
+        width: int = 320,
+        height: int = 240,
+        *,
+        look_at: FloatArray | None = None,
+        segmentation: bool = False,
+        shadows: bool = False,
+    ) -> Rendering:
+        """Take a picture; see the interface."""
+        raise SimulationError("rendering is being built")
+
+    def save_state(self) -> FloatArray:
+        """Everything that decides the future, as one vector; restoring it is bit exact."""
+        return self._world.save()
+
+    def restore_state(self, state: FloatArray) -> None:
+        """Continue from a saved state."""
+        self._world.restore(state)
+
+    def faults(self) -> tuple[Fault, ...]:
+        """Faults since the last `reset` or `restore_state`, each once."""
+        return self._world.faults()
+
+    def close(self) -> None:
+        """Free the engine; the simulator may be loaded again."""
+        self._physics = None
