@@ -114,7 +114,7 @@ class ICub(Robot):
         request = IkRequest(max_iterations, position_tolerance, orientation_tolerance)
         self._check_start(q_start)
         targets = np.asarray(T_world_frames, dtype=np.float64).reshape(-1, 4, 4)
-        finite: NDArray[np.bool_] = np.isfinite(targets).all(axis=(1, 2))
+        finite = np.all(np.isfinite(targets), axis=(1, 2))
         solved = iter(self._kinematics.solve_batch(targets[finite], q_start, frame, group, request))
         return [next(solved) if good else _unreachable(q_start) for good in finite]
 

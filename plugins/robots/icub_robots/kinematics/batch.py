@@ -89,11 +89,13 @@ class Descents:
         q: (B, n) best joint positions.
         errors: (B, 2) position error, metres, and orientation error, rad, at q.
         unfinished: Rows whose descent is not over; at most FEW unless the iterations ran out.
+        gain: Posture gain that their next iteration would take.
     """
 
     q: FloatArray
     errors: FloatArray
     unfinished: NDArray[np.intp]
+    gain: float = POSTURE_GAIN
 
 
 def descend(
@@ -121,7 +123,7 @@ def descend(
     result = Descents(np.tile(start, (B, 1)), np.full((B, 2), np.inf), np.arange(B))
     best_cost, record = np.full((2, B), np.inf)
     waited = np.zeros(B, dtype=np.intp)
-    rows, q, gain = result.unfinished, result.q.copy(), POSTURE_GAIN
+    rows, q = result.unfinished, result.q.copy()
     for iteration in range(request.max_iterations + 1):
         T, axes, origins = geometry(q)
         error, errors = _errors(T, targets[rows])
@@ -141,8 +143,8 @@ def descend(
         J = _jacobians(T[:, :3, 3], axes, origins)
         if not free.all():
             J *= free
-        q = _step(J, error, q, gain * (start - q), lower, upper)
-        gain *= POSTURE_DECAY
+        q = _step(J, error, q, result.gain * (start - q), lower, upper)
+        result.gain *= POSTURE_DECAY
     result.unfinished = rows
     return result
 

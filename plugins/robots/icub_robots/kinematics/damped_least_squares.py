@@ -94,14 +94,14 @@ class ChainIk:
         on_limit: NDArray[np.bool_] = ((ends.q - lower <= AT_LIMIT) | (upper - ends.q <= AT_LIMIT)) & self._free
         tolerances = np.array([request.position_tolerance, request.orientation_tolerance])
         reached = np.all(ends.errors <= tolerances, axis=1).tolist()
-        errors, some_limit = ends.errors.tolist(), on_limit.any(axis=1).tolist()
+        errors, some_limit = ends.errors.tolist(), np.any(on_limit, axis=1).tolist()
         solutions = [
             IkSolution(row, ok, error[0], error[1], self._hit(on) if any_on else ())
             for row, ok, error, on, any_on in zip(full, reached, errors, on_limit, some_limit, strict=True)
         ]
         for i in ends.unfinished:  # a few stragglers are cheaper one by one
             pose = pin.SE3(targets[i])
-            q, _ = self._descend(pose, ends.q[i], start, lower, upper, request, 0.0)
+            q, _ = self._descend(pose, ends.q[i], start, lower, upper, request, ends.gain)
             solutions[i] = self._answer(pose, q, q_start, lower, upper, request)
         return solutions
 
