@@ -1,0 +1,103 @@
+"""Objects and annotated images made of plain shapes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from icub_core.data import Instance, RgbdFrame
+from icub_core.errors import ConfigError, unknown_name
+from icub_core.geometry import look_at, pinhole
+from icub_core.interfaces.dataset import Dataset
+from icub_core.interfaces.object_set import ObjectSet
+from icub_core.scene import Geom, Material, ObjectSpec
+
+COLOURS = {"red": (200, 40, 40), "green": (40, 170, 60), "blue": (50, 70, 200)}
+SIZES = {"red": (0.03, 0.04, 0.05), "green": (0.04, 0.03, 0.06), "blue": (0.03, 0.03, 0.04)}
+"""Half extents, metres."""
+
+
+class TinyObjects(ObjectSet):
+    """Three boxes, named by their colour."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The colours."""
+        return tuple(COLOURS)
+
+    def get(self, name: str) -> ObjectSpec:
+        """Make one box that stands on its lowest face."""
+        if name not in COLOURS:
+            raise ConfigError(unknown_name("object in the tiny set", name, COLOURS))
+        half = SIZES[name]
+        r, g, b = (channel / 255 for channel in COLOURS[name])
+        return ObjectSpec(
+            name,
+            (Geom("box", half),),
+            mass=0.2,
+            half_extents=half,
+            rest_height=half[2],
+            material=Material((r, g, b, 1.0)),
+        )
+
+
+def draw_frame(
+    places: dict[str, tuple[int, int, int]], seed: int = 0, size: tuple[int, int] = (120, 160)
+) -> tuple[RgbdFrame, tuple[Instance, ...]]:
+    """Draw discs on a grey, noisy ground.
+
+    Args:
+        places: Colour to column, row and radius of its disc, pixels; later ones cover earlier ones.
+        seed: Of the noise.
+        size: Height and width, pixels.
+
+    Returns:
+        The frame, at 1 m over a plane with the discs 10 cm nearer, and the visible part of every disc.
+    """
+    rng = np.random.default_rng(seed)
+    rgb = rng.integers(110, 150, (*size, 3)).astype(np.uint8)
+    depth = np.ones(size, dtype=np.float32)
+    owner = np.full(size, "", dtype=object)
+    rows, columns = np.mgrid[: size[0], : size[1]]
+    for colour, (x, y, radius) in places.items():
+        disc = (columns - x) ** 2 + (rows - y) ** 2 <= radius**2
+        noise = rng.integers(-10, 10, (int(disc.sum()), 3))
+        rgb[disc] = np.clip(np.asarray(COLOURS[colour]) + noise, 0, 255).astype(np.uint8)
+        depth[disc], owner[disc] = 0.9, colour
+    T_world_camera = look_at([0.0, 0.0, 1.0], [0.0, 0.0, 0.0])
+    frame = RgbdFrame(rgb, depth, pinhole(size[1], size[0], 0.8), T_world_camera)
+    masks: dict[str, NDArray[np.bool_]] = {colour: owner == colour for colour in places}
+    return frame, tuple(Instance.from_mask(colour, mask) for colour, mask in masks.items() if mask.any())
+
+
+class TinyDataset(Dataset):
+    """Images of the coloured discs.
+
+    Args:
+        length: Number of images.
+        seed: Decides all of them.
+    """
+
+    def __init__(self, length: int = 4, seed: int = 0) -> None:
+        self._length = length
+        self._seed = seed
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """The colours."""
+        return tuple(COLOURS)
+
+    def __len__(self) -> int:
+        """Number of images."""
+        return self._length
+
+    def __getitem__(self, index: int) -> tuple[RgbdFrame, tuple[Instance, ...]]:
+        """Draw image `index`."""
+        if not 0 <= index < self._length:
+            raise IndexError(f"image {index} of {self._length}")
+        rng = np.random.default_rng([self._seed, index])
+        colours = rng.permutation(list(COLOURS))[: int(rng.integers(1, 4))]
+        places = {
+            str(c): (int(rng.integers(20, 140)), int(rng.integers(20, 100)), int(rng.integers(8, 18))) for c in colours
+        }
+        return draw_frame(places, seed=int(rng.integers(2**31)))
