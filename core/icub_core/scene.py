@@ -139,6 +139,7 @@ class Scene:
     lights: tuple[Light, ...] = (Light(),)
     floor: Material = field(default_factory=lambda: Material(rgba=(0.35, 0.37, 0.4, 1.0)))
     timestep: float = 0.005
+    backdrop: Material = field(default_factory=lambda: Material(rgba=(0.62, 0.68, 0.75, 1.0)))
 
     def __post_init__(self) -> None:
         names = [o.name for o in self.objects]

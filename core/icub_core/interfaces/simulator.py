@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.data import RgbdFrame, RobotState
+from icub_core.errors import SimulationError
 from icub_core.robot_description import RobotDescription
-from icub_core.scene import CameraView, Scene
+from icub_core.scene import CameraView, Light, Material, Scene
 
 
 class Fault(Enum):
@@ -42,6 +43,8 @@ class Simulator(ABC):
     - nothing but `load` works before `load`; `load` again replaces the world;
     - `reset` restores time 0, the home pose at rest, every object at its rest pose on its given place or parked away;
     - two runs with the same calls are identical; `step(n)` advances time by exactly n timesteps;
+    - pixel (row, column) looks along ((column - cx) / fx, (row - cy) / fy, 1), cx = (width - 1) / 2: whole numbers are
+      pixel centres; depth 0 is where nothing was hit;
     - the order of joints and of commands is the description's;
     - physics faults are reported by `faults`, never raised from `step` and never hidden;
     - `close` may be called twice.
@@ -133,6 +136,20 @@ class Simulator(ABC):
             segmentation: Also say which object each pixel shows.
             shadows: Prettier and about ten times slower.
         """
+
+    def set_appearance(
+        self,
+        *,
+        table: Material | None = None,
+        floor: Material | None = None,
+        backdrop: Material | None = None,
+        lights: tuple[Light, ...] | None = None,
+    ) -> None:
+        """Change looks of the loaded world; None leaves as it is. Lasts until the next `load`.
+
+        Raises SimulationError for what this world does not have, and in simulators that cannot.
+        """
+        raise SimulationError(f"{type(self).__name__} cannot change looks; load a scene with other materials")
 
     @abstractmethod
     def save_state(self) -> NDArray[np.float64]:

@@ -7,11 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.data import RobotState
-from icub_core.errors import SimulationError
+from icub_core.errors import ConfigError, SimulationError, unknown_name
+from icub_core.geometry import look_at as look_at_transform
+from icub_core.geometry import make_transform, quat_wxyz_to_matrix
 from icub_core.interfaces.simulator import Fault, Rendering, Simulator
-from icub_core.robot_description import RobotDescription
-from icub_core.scene import CameraView, Scene
+from icub_core.robot_description import RobotCamera, RobotDescription
+from icub_core.scene import CameraView, Light, Material, Scene
 from icub_simulators.mujoco.physics import Physics
+from icub_simulators.mujoco.renderer import Renderer
 
 FloatArray = NDArray[np.float64]
 
@@ -25,6 +28,8 @@ class Mujoco(Simulator):
 
     def __init__(self) -> None:
         self._physics: Physics | None = None
+        self._renderer: Renderer | None = None
+        self._cameras: dict[str, RobotCamera] = {}
 
     @property
     def _world(self) -> Physics:
@@ -44,7 +49,10 @@ class Mujoco(Simulator):
 
     def load(self, robot: RobotDescription | None, scene: Scene) -> None:
         """Build the world."""
-        self._physics = Physics(robot, scene)
+        physics = Physics(robot, scene)
+        self.close()
+        self._physics = physics
+        self._cameras = {camera.name: camera for camera in (robot.cameras if robot is not None else ())}
 
     @property
     def scene(self) -> Scene:
@@ -122,7 +130,47 @@ class Mujoco(Simulator):
         shadows: bool = False,
     ) -> Rendering:
         """Take a picture; see the interface."""
-        raise SimulationError("rendering is being built")
+        world = self._world
+        renderer = self._open_renderer()
+        view = self._view(camera, look_at)
+        return renderer.render(
+            world.data.qpos, world.parked, view, width, height, segmentation, shadows, world.data.time
+        )
+
+    def set_appearance(
+        self,
+        *,
+        table: Material | None = None,
+        floor: Material | None = None,
+        backdrop: Material | None = None,
+        lights: tuple[Light, ...] | None = None,
+    ) -> None:
+        """Change looks without building the world anew."""
+        scene = self._world.scene
+        if table is not None and scene.table is None:
+            raise SimulationError("this world has no table to change the look of")
+        self._open_renderer().set_appearance(table, floor, backdrop, lights)
+
+    def _open_renderer(self) -> Renderer:
+        """Return the renderer; physics alone never needs a graphics library."""
+        if self._renderer is None:
+            world = self._world
+            self._renderer = Renderer(world.robot, world.scene)
+        return self._renderer
+
+    def _view(self, camera: str | CameraView, target: FloatArray | None) -> CameraView:
+        """Place a named camera, turned to `target` where one is given."""
+        if isinstance(camera, CameraView):
+            T, fovy = camera.T_world_camera, camera.fovy
+        else:
+            named = self._cameras.get(camera)
+            if named is None:
+                raise ConfigError(unknown_name("camera", camera, self._cameras))
+            T = self._world.link_pose(named.link) @ make_transform(quat_wxyz_to_matrix(named.quat_wxyz), named.position)
+            fovy = named.fovy
+        if target is not None:
+            T = look_at_transform(T[:3, 3], target)
+        return CameraView(T, fovy)
 
     def save_state(self) -> FloatArray:
         """Everything that decides the future, as one vector; restoring it is bit exact."""
@@ -138,4 +186,6 @@ class Mujoco(Simulator):
 
     def close(self) -> None:
         """Free the engine; the simulator may be loaded again."""
-        self._physics = None
+        if self._renderer is not None:
+            self._renderer.close()
+        self._physics = self._renderer = None

@@ -1,0 +1,207 @@
+"""Pictures of a world: colour and depth in one pass, segmentation in a second."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from icub_core.data import RgbdFrame
+from icub_core.errors import SimulationError
+from icub_core.geometry import pinhole
+from icub_core.interfaces.simulator import Rendering
+from icub_core.robot_description import RobotDescription
+from icub_core.scene import CameraView, Light, Material, Scene
+from icub_simulators.mujoco.builder import OBJECT_PREFIX, build_spec, compile_model
+from icub_simulators.mujoco.gl import make_context
+from icub_simulators.mujoco.looks import (
+    BACKDROP,
+    FLOOR,
+    TABLE,
+    backdrop_image,
+    dress,
+    fill_textures,
+    set_lights,
+    set_material,
+    set_texture,
+)
+
+FloatArray = NDArray[np.float64]
+
+_PARKED_GROUP = 5
+_SHOWN_GROUPS = (0, 1, 2)
+_MOST_GEOMS = 4000
+_FIRST_BUFFER = (640, 480)
+_LARGEST_SIDE = 8192
+PLAIN, PRETTY = False, True
+"""Two ways of drawing: without shadows and smoothing (fast), with both."""
+
+
+class Renderer:
+    """Draws one world. It has a model of its own, with meshes and textures, so that physics carries none of them.
+
+    Raises SimulationError (one line, with what to install) when this machine cannot draw.
+    """
+
+    def __init__(self, robot: RobotDescription | None, scene: Scene) -> None:
+        self._gl: Any = make_context()
+        spec = build_spec(robot, scene, visual=True)
+        dress(spec, scene)
+        spec.visual.global_.offwidth, spec.visual.global_.offheight = _FIRST_BUFFER
+        self.model = compile_model(spec)
+        self._data = mujoco.MjData(self.model)
+        self._scene = mujoco.MjvScene(self.model, maxgeom=_MOST_GEOMS)
+        self._camera = mujoco.MjvCamera()
+        self._options = mujoco.MjvOption()
+        self._options.geomgroup[:] = [group in _SHOWN_GROUPS for group in range(len(self._options.geomgroup))]
+        self._options.flags[:] = 0
+        self._options.flags[int(mujoco.mjtVisFlag.mjVIS_TEXTURE)] = 1
+        self._options.flags[int(mujoco.mjtVisFlag.mjVIS_STATIC)] = 1
+        self._contexts: dict[bool, mujoco.MjrContext] = {}
+        self._buffer = _FIRST_BUFFER
+        self._group = self.model.geom_group.copy()
+        bodies = [self.model.body(OBJECT_PREFIX + item.name).id for item in scene.objects]
+        self._geoms_of = [np.nonzero(self.model.geom_bodyid == body)[0] for body in bodies]
+        self._object_of_geom = np.full(self.model.ngeom + 1, -1, np.int32)
+        for number, geoms in enumerate(self._geoms_of):
+            self._object_of_geom[geoms] = number
+        self._center = np.array([-0.4, 0.0, scene.table.top if scene.table is not None else 0.0])
+        fill_textures(self.model, scene)
+        set_lights(self.model, scene.lights, self._center)
+
+    def render(
+        self, qpos: FloatArray, parked: NDArray[np.bool_], view: CameraView, width: int, height: int,
+        segmentation: bool, shadows: bool, stamp: float,
+    ) -> Rendering:  # fmt: skip
+        """Draw the world with its joints and objects at `qpos` as `view` sees it; see the simulator's interface."""
+        if not (0 < width <= _LARGEST_SIDE and 0 < height <= _LARGEST_SIDE):
+            raise SimulationError(
+                f"a picture of {width} x {height} was asked for; expected 1 to {_LARGEST_SIDE} a side"
+            )
+        self._pose(qpos, parked)
+        self._aim(view, width, height)
+        rgb, depth = self._draw(PRETTY if shadows else PLAIN, width, height, ids=False)
+        objects = None
+        if segmentation:
+            codes, depth = self._draw(PLAIN, width, height, ids=True)  # smoothing would blend numbers and depths
+            objects = self._objects(codes)
+        intrinsics = pinhole(width, height, view.fovy)
+        intrinsics[:2, 2] -= 0.5  # pixel centres have whole coordinates: the middle of 320 pixels is 159.5
+        frame = RgbdFrame(rgb, depth, intrinsics, np.array(view.T_world_camera, dtype=np.float64), stamp)
+        return Rendering(frame, objects)
+
+    def set_appearance(
+        self,
+        table: Material | None,
+        floor: Material | None,
+        backdrop: Material | None,
+        lights: tuple[Light, ...] | None,
+    ) -> None:
+        """Change what is given; see the simulator's interface."""
+        changed = []
+        if table is not None:
+            changed.append(set_material(self.model, TABLE, table))
+        if floor is not None:
+            changed.append(set_material(self.model, FLOOR, floor))
+        if backdrop is not None:
+            changed.append(set_texture(self.model, BACKDROP, backdrop_image(backdrop)))
+        if lights is not None:
+            if len(lights) > self.model.nlight:
+                raise SimulationError(
+                    f"{len(lights)} lights were asked for; this world has room for {self.model.nlight}"
+                )
+            set_lights(self.model, lights, self._center)
+        self._gl.make_current()
+        for context in self._contexts.values():
+            for texture in changed:
+                mujoco.mjr_uploadTexture(self.model, context, texture)
+
+    def close(self) -> None:
+        """Free the graphics memory."""
+        if self._gl is None:
+            return
+        self._gl.make_current()
+        for context in self._contexts.values():
+            context.free()
+        self._contexts.clear()
+        self._gl.free()
+        self._gl = None
+
+    def _pose(self, qpos: FloatArray, parked: NDArray[np.bool_]) -> None:
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self.model, self._data)
+        mujoco.mj_camlight(self.model, self._data)
+        group = self.model.geom_group
+        group[:] = self._group
+        for number in np.nonzero(parked)[0]:
+            group[self._geoms_of[number]] = _PARKED_GROUP
+        mujoco.mjv_updateScene(
+            self.model, self._data, self._options, None, self._camera, int(mujoco.mjtCatBit.mjCAT_ALL), self._scene
+        )
+
+    def _aim(self, view: CameraView, width: int, height: int) -> None:
+        """Overwrite the drawing camera (both eyes) by the wanted one."""
+        T = view.T_world_camera
+        near = self.model.vis.map.znear * self.model.stat.extent
+        top = near * np.tan(0.5 * view.fovy)
+        for eye in self._scene.camera:
+            eye.pos = T[:3, 3]
+            eye.forward = T[:3, 2]
+            eye.up = -T[:3, 1]
+            eye.orthographic = 0
+            eye.frustum_center = 0.0
+            eye.frustum_width = top * width / height
+            eye.frustum_top, eye.frustum_bottom = top, -top
+            eye.frustum_near, eye.frustum_far = near, self.model.vis.map.zfar * self.model.stat.extent
+
+    def _draw(self, style: bool, width: int, height: int, ids: bool) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Draw and read colour (or geom numbers) and metric depth, top row first."""
+        self._gl.make_current()
+        context = self._context(style, width, height)
+        flags = self._scene.flags
+        flags[int(mujoco.mjtRndFlag.mjRND_SHADOW)] = style is PRETTY
+        flags[int(mujoco.mjtRndFlag.mjRND_REFLECTION)] = 0
+        flags[int(mujoco.mjtRndFlag.mjRND_HAZE)] = 0
+        flags[int(mujoco.mjtRndFlag.mjRND_SKYBOX)] = not ids
+        flags[int(mujoco.mjtRndFlag.mjRND_SEGMENT)] = ids
+        flags[int(mujoco.mjtRndFlag.mjRND_IDCOLOR)] = ids
+        viewport = mujoco.MjrRect(0, 0, width, height)
+        rgb = np.empty((height, width, 3), np.uint8)
+        raw = np.empty((height, width), np.float32)
+        mujoco.mjr_render(viewport, self._scene, context)
+        mujoco.mjr_readPixels(rgb, raw, viewport, context)
+        near, far = np.float32(self._scene.camera[0].frustum_near), np.float32(self._scene.camera[0].frustum_far)
+        depth = near * far / (near + raw[::-1] * (far - near))  # 1 is near, 0 is far
+        depth[depth > 0.99 * far] = 0.0
+        return np.ascontiguousarray(rgb[::-1]), depth
+
+    def _objects(self, codes: NDArray[np.uint8]) -> NDArray[np.int32]:
+        """Turn the colours of a segmentation pass into object numbers."""
+        segment = (
+            codes[..., 0].astype(np.int32) | codes[..., 1].astype(np.int32) << 8 | codes[..., 2].astype(np.int32) << 16
+        )
+        table = np.full(self._scene.ngeom + 1, -1, np.int32)
+        kind = int(mujoco.mjtObj.mjOBJ_GEOM)
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            if geom.objtype == kind and geom.segid >= 0:
+                table[geom.segid + 1] = self._object_of_geom[geom.objid]
+        return table[segment]
+
+    def _context(self, style: bool, width: int, height: int) -> mujoco.MjrContext:
+        """Return the drawing context of a style, made when first used, with a buffer of at least the given size."""
+        if width > self._buffer[0] or height > self._buffer[1]:
+            self._buffer = (max(width, self._buffer[0]), max(height, self._buffer[1]))
+            for existing in self._contexts.values():
+                mujoco.mjr_resizeOffscreen(*self._buffer, existing)
+        if style not in self._contexts:
+            self.model.vis.global_.offwidth, self.model.vis.global_.offheight = self._buffer
+            self.model.vis.quality.offsamples = 4 if style is PRETTY else 0
+            self.model.vis.quality.shadowsize = 1024 if style is PRETTY else 0
+            context = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # most precise far away
+            self._contexts[style] = context
+        context = self._contexts[style]
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
+        return context
