@@ -1,0 +1,178 @@
+"""Pasting taught objects into pictures of clutter, so that a showing against one wall teaches more than that wall.
+
+Held in front of one background under one lamp, an object is learnt together with both, and nothing shows what it is
+not. Here its pixels are put, turned, resized and re-lit, into pictures of other things: more backgrounds for its
+positives, and the clutter's regions become negatives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from icub_core.errors import DataError
+
+DEFAULT_FOLDER = Path(__file__).with_name("assets") / "clutter"
+REMEMBERED = 12
+"""Cut-outs kept of each taught object, to be pasted beside others."""
+SMALLEST_SIDE = 14
+"""A cut-out is not shrunk below this many pixels."""
+VISIBLE_SHARE = 0.5
+"""An instance of which less shows than this is no example any more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cutout:
+    """An object's pixels without its surroundings: rgb (h, w, 3) uint8, mask (h, w) bool; a stranger's label is ""."""
+
+    label: str
+    rgb: NDArray[np.uint8]
+    mask: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, label: str, rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> Cutout:
+        """Cut the tight box of a not empty `mask` (H, W) out of `rgb` (H, W, 3)."""
+        rows, columns = np.nonzero(mask)
+        box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
+        return cls(label, rgb[box].copy(), mask[box].copy())
+
+
+@dataclass(frozen=True, eq=False)
+class Composite:
+    """A made picture: rgb (H, W, 3) uint8 and what of the pasted objects is visible, (label, (H, W) bool) each."""
+
+    rgb: NDArray[np.uint8]
+    instances: tuple[tuple[str, NDArray[np.bool_]], ...]
+
+
+class Compositor:
+    """Makes pictures of a taught object, and at times of others taught before, among clutter."""
+
+    def __init__(self, pictures: list[NDArray[np.uint8]], strangers: list[Cutout] | None = None) -> None:
+        """Take what taught objects are pasted among.
+
+        Args:
+            pictures: (H, W, 3) uint8; nothing that will be taught occurs in them.
+            strangers: Cut-outs of other objects, to lie beside and upon the taught ones.
+        """
+        if not pictures:
+            raise DataError("there are no clutter pictures; expected at least one")
+        self.pictures = pictures
+        self.strangers = strangers or []
+        self.remembered: dict[str, list[Cutout]] = {}
+
+    @classmethod
+    def from_folder(cls, folder: Path | None = None) -> Compositor:
+        """Read the JPEG pictures of a folder; None takes those that come with the package.
+
+        A PNG of the same name holds the objects in a picture: 0 for none, else the object's number.
+        """
+        folder = DEFAULT_FOLDER if folder is None else Path(folder)
+        files = sorted(p for p in folder.glob("*") if p.suffix.lower() in (".jpg", ".jpeg"))
+        if not files:
+            raise DataError(f"no JPEG picture in {folder}; expected pictures of clutter")
+        pictures, strangers = [], []
+        for file in files:
+            picture = np.ascontiguousarray(_read(file, cv2.IMREAD_COLOR)[:, :, ::-1])
+            pictures.append(picture)
+            numbers = file.with_suffix(".png")
+            if numbers.exists():
+                objects = _read(numbers, cv2.IMREAD_GRAYSCALE)
+                if objects.shape != picture.shape[:2]:
+                    raise DataError(f"{numbers} is {objects.shape}; expected the picture's {picture.shape[:2]}")
+                for number in np.unique(objects[objects > 0]):
+                    if np.count_nonzero(objects == number) >= SMALLEST_SIDE**2:
+                        strangers.append(Cutout.of("", picture, objects == number))
+        return cls(pictures, strangers)
+
+    def remember(self, cutout: Cutout, rng: np.random.Generator) -> None:
+        """Keep a cut-out for later pictures; of each label a few are kept at random."""
+        known = self.remembered.setdefault(cutout.label, [])
+        if len(known) < REMEMBERED:
+            known.append(cutout)
+        elif rng.random() < 0.3:
+            known[int(rng.integers(REMEMBERED))] = cutout
+
+    def compose(self, cutout: Cutout, size: tuple[int, int], rng: np.random.Generator) -> Composite:
+        """Paste `cutout`, up to two other remembered objects and up to two strangers into a picture (height, width)."""
+        height, width = size
+        background = np.asarray(
+            cv2.resize(self.pictures[int(rng.integers(len(self.pictures)))], (width, height)), np.uint8
+        )
+        canvas = relit(background if rng.random() < 0.5 else background[:, ::-1], rng)
+        others = [label for label in self.remembered if label != cutout.label]
+        drawn = [cutout]
+        for label in rng.permutation(others)[: int(rng.integers(0, 3))]:
+            drawn.append(self.remembered[label][int(rng.integers(len(self.remembered[label])))])
+        if self.strangers:
+            drawn += [self.strangers[i] for i in rng.integers(0, len(self.strangers), int(rng.integers(0, 3)))]
+        labels: list[str] = []
+        seen: list[NDArray[np.bool_]] = []
+        areas: list[int] = []
+        for piece in (drawn[i] for i in rng.permutation(len(drawn))):
+            canvas, mask = _paste(canvas, transformed(piece, size, rng), rng)
+            seen = [earlier & ~mask for earlier in seen] + [mask]  # the newer object lies on top
+            labels.append(piece.label)
+            areas.append(int(mask.sum()))
+        shown = [
+            (label, mask)
+            for label, mask, area in zip(labels, seen, areas, strict=True)
+            if label and mask.sum() >= max(VISIBLE_SHARE * area, SMALLEST_SIDE**2 / 2)
+        ]
+        return Composite(canvas, tuple(shown))
+
+
+def _read(file: Path, flags: int) -> NDArray[np.uint8]:
+    picture = cv2.imread(str(file), flags)
+    if picture is None:
+        raise DataError(f"{file} cannot be read as a picture")
+    return picture.astype(np.uint8)
+
+
+def relit(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Change brightness, contrast and tint of a picture at random."""
+    gain = rng.uniform(0.6, 1.35) * rng.normal(1.0, 0.05, 3)
+    shift = rng.uniform(-12, 12)
+    return np.clip(rgb.astype(np.float32) * gain + shift, 0, 255).astype(np.uint8)
+
+
+def transformed(cutout: Cutout, size: tuple[int, int], rng: np.random.Generator) -> Cutout:
+    """Turn, resize, mirror no side, and re-light a cut-out for a picture of (height, width)."""
+    h, w = cutout.mask.shape
+    longest = max(rng.uniform(0.12, 0.5) * size[0], SMALLEST_SIDE)
+    scale = longest / max(h, w)
+    flags = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    w, h = max(round(scale * w), 2), max(round(scale * h), 2)
+    rgb = cv2.resize(relit(cutout.rgb, rng), (w, h), interpolation=flags)
+    mask = cv2.resize(cutout.mask.astype(np.float32), (w, h), interpolation=flags)
+    matrix = cv2.getRotationMatrix2D((w / 2, h / 2), float(rng.uniform(-40, 40)), 1.0)
+    new_w, new_h = (int(np.ceil(v)) for v in np.abs(matrix[:, :2]) @ np.array([w, h]))
+    matrix[:, 2] = matrix[:, 2] + np.array([new_w - w, new_h - h]) / 2
+    rgb = cv2.warpAffine(rgb, matrix, (new_w, new_h), borderMode=cv2.BORDER_REPLICATE)
+    mask = cv2.warpAffine(mask, matrix, (new_w, new_h))
+    return Cutout(cutout.label, rgb.astype(np.uint8), mask > 0.5)
+
+
+def _paste(
+    canvas: NDArray[np.uint8], piece: Cutout, rng: np.random.Generator
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Lay `piece` on `canvas` (H, W, 3) at a random place, at most a third outside; return it and the mask (H, W)."""
+    height, width = canvas.shape[:2]
+    h, w = piece.mask.shape
+    top = int(rng.integers(-h // 6, max(height - h + h // 6, 1)))
+    left = int(rng.integers(-w // 6, max(width - w + w // 6, 1)))
+    rows = slice(max(top, 0), min(top + h, height))
+    columns = slice(max(left, 0), min(left + w, width))
+    inner = slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
+    mask = np.zeros((height, width), dtype=np.bool_)
+    mask[rows, columns] = piece.mask[inner]
+    # soft edges: a hard seam would be a feature of every pasted object
+    alpha = cv2.GaussianBlur(piece.mask.astype(np.float32), (0, 0), 0.7)[inner][:, :, None]
+    result = canvas.copy()
+    blend = alpha * piece.rgb[inner] + (1 - alpha) * canvas[rows, columns]
+    result[rows, columns] = blend.astype(np.uint8)
+    return result, mask

@@ -1,0 +1,214 @@
+"""On-line detection: which taught object is in which region, and where exactly (thesis 11.3.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torchvision.ops import batched_nms
+
+from icub_core.errors import CheckpointError, NotFittedError
+from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
+from icub_core.interfaces.online_head import OnlineHead
+from icub_segmenters.boxes import decode, encode, paired_iou
+from icub_segmenters.heads.rls import Rls
+from icub_segmenters.minibootstrap import MakeHead, Minibootstrap
+from icub_segmenters.normalization import Normalization
+from icub_segmenters.region_store import RegionStore
+from icub_segmenters.sampling import class_negatives, sample_per_group, shared_negatives
+
+NMS_IOU = 0.3
+MOST_DETECTIONS = 100
+NEVER = -2.0
+"""Score of a class that cannot be recognised: below what any trained head gives to background."""
+BOX_PENALTY = 10.0
+"""lambda of the box regressors on features of norm 20."""
+TIGHT_IOU = 0.75
+"""The second regressor learns from regions as close as the first one brings them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """Found objects of one image, best first.
+
+    Attributes:
+        boxes: (k, 4) pixels.
+        labels: (k,) class numbers.
+        scores: (k,).
+    """
+
+    boxes: torch.Tensor
+    labels: torch.Tensor
+    scores: torch.Tensor
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+    def take(self, rows: torch.Tensor) -> Detections:
+        """Return the named rows."""
+        return Detections(self.boxes[rows], self.labels[rows], self.scores[rows])
+
+
+class BoxRegressors:
+    """One RLS box regressor a class; a class without samples keeps its boxes."""
+
+    def __init__(self) -> None:
+        self.heads: dict[int, Rls] = {}
+
+    def fit(self, X: torch.Tensor, store: RegionStore, lowest_iou: float) -> None:
+        """Train on the positives of `store` whose IoU with their true box is at least `lowest_iou`; X (n, d)."""
+        positives = torch.nonzero(store.label >= 0).flatten()
+        boxes, targets, label = store.boxes[positives], store.targets[positives], store.label[positives]
+        size = (boxes[:, 2:] - boxes[:, :2]).prod(dim=1)
+        good = (paired_iou(boxes, targets) >= lowest_iou) & (size > 0)
+        heads = {}
+        for c in label[good].unique().tolist():
+            of_class = good & (label == c)
+            head = Rls(lam=BOX_PENALTY)
+            head.fit(X[positives[of_class]], encode(boxes[of_class], targets[of_class]))
+            heads[c] = head
+        self.heads = heads
+
+    def refine(
+        self, X: torch.Tensor, boxes: torch.Tensor, labels: torch.Tensor, image_size: tuple[int, int]
+    ) -> torch.Tensor:
+        """Return boxes (n, 4) moved by the regressors of their classes (n,), from features X (n, d)."""
+        deltas = torch.zeros_like(boxes)
+        for c, head in self.heads.items():
+            rows = labels == c
+            if bool(rows.any()):
+                deltas[rows] = head.decision_function(X[rows])
+        return decode(boxes, deltas, image_size)
+
+
+class OnlineDetector:
+    """Classifiers by Minibootstrap and box regressors by RLS on a store of regions."""
+
+    def __init__(
+        self, make_head: MakeHead, procedure: Minibootstrap, *, shared: bool = True, repool: bool = True
+    ) -> None:
+        """Configure; nothing is trained.
+
+        Args:
+            make_head: Gives an untrained classifier.
+            procedure: Numbers of the Minibootstrap.
+            shared: Train all classes on one pool instead of each on its own samples.
+            repool: Look a second time at the refined boxes: scores are averaged and boxes refined again.
+        """
+        self.make_head, self.procedure, self.shared, self.repool = make_head, procedure, shared, repool
+        self.normalization: Normalization | None = None
+        self.heads: dict[int, OnlineHead] = {}  # by class; shared: the only one under 0
+        self.coarse, self.fine = BoxRegressors(), BoxRegressors()
+        self._known = torch.zeros(0, dtype=torch.bool)  # (classes,): had a positive
+
+    @property
+    def number_of_classes(self) -> int:
+        """Classes since the last training."""
+        return len(self._known)
+
+    def train(self, store: RegionStore, classes: int, generator: torch.Generator) -> None:
+        """Train all classes anew on what the store holds.
+
+        Args:
+            store: Regions, labelled 0 to classes - 1.
+            classes: Number of classes; those without a positive are never found.
+            generator: Decides which negatives are seen.
+        """
+        normalization = Normalization.of_classes(store.features, store.label, generator)
+        X = normalization(store.features)
+        budget = self.procedure.budget
+        heads: dict[int, OnlineHead] = {}
+        if self.shared:
+            # so that many classes or long showings do not outgrow the negatives
+            rows = torch.nonzero(store.label >= 0).flatten()
+            most = max(200, budget // classes)
+            rows = sample_per_group(rows, store.label[rows], most, generator)
+            label = torch.full_like(store.label, -1)
+            label[rows] = store.label[rows]
+            heads[0] = self.procedure.train_shared(
+                self.make_head, X, label, shared_negatives(store, budget, generator), classes
+            )
+        else:
+            for c in range(classes):
+                positives = torch.nonzero(store.label == c).flatten()
+                negatives = class_negatives(store, c, budget, generator)
+                head = self.procedure.train_class(self.make_head, X, positives, negatives)
+                if head is not None:
+                    heads[c] = head
+        self.coarse.fit(X, store, 0.0)
+        self.fine.fit(X, store, TIGHT_IOU)
+        self.normalization, self.heads = normalization, heads
+        self._known = torch.zeros(classes, dtype=torch.bool)
+        self._known[store.label[store.label >= 0].unique()] = True
+
+    def scores(self, X: torch.Tensor) -> torch.Tensor:
+        """Return scores (n, classes) of normalised features X (n, d)."""
+        if self.shared:
+            scores = self.heads[0].decision_function(X)
+            return torch.where(self._known, scores, NEVER)
+        scores = X.new_full((len(X), self.number_of_classes), NEVER)
+        for c, head in self.heads.items():
+            scores[:, c] = head.decision_function(X).squeeze(1)
+        return scores
+
+    def detect(self, extractor: FeatureExtractor, image: ImageFeatures, lowest_score: float) -> Detections:
+        """Find the taught objects among an image's proposals.
+
+        Per class: refine boxes, drop those under `lowest_score`, suppress overlaps above 0.3; at most 100 remain.
+        """
+        if self.normalization is None:
+            raise NotFittedError("the detector was asked to look before it was trained")
+        size, boxes = image.image_size, image.proposals.cpu()
+        X = self.normalization(extractor.region_features(image, boxes).float().cpu())
+        scores = self.scores(X)
+        rows, labels = torch.nonzero(scores > lowest_score, as_tuple=True)
+        found = Detections(self.coarse.refine(X[rows], boxes[rows], labels, size), labels, scores[rows, labels])
+        found = suppressed(found)
+        if not self.repool or len(found) == 0:
+            return found
+        X = self.normalization(extractor.region_features(image, found.boxes).float().cpu())
+        again = self.scores(X).gather(1, found.labels[:, None]).squeeze(1)
+        refined = self.fine.refine(X, found.boxes, found.labels, size)
+        return suppressed(Detections(refined, found.labels, 0.5 * (found.scores + again)))
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return every tensor that decides what is found, by dotted name."""
+        if self.normalization is None:
+            raise NotFittedError("the detector has nothing to save before it was trained")
+        state = {
+            "normalization.mean": self.normalization.mean,
+            "normalization.mean_norm": torch.tensor(self.normalization.mean_norm, dtype=torch.float64),
+            "known": self._known,
+        }
+        parts = (("head", self.heads), ("coarse", self.coarse.heads), ("fine", self.fine.heads))
+        for name, heads in parts:
+            for c, head in heads.items():
+                state |= {f"{name}.{c}.{key}": value for key, value in head.state_dict().items()}
+        return state
+
+    def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
+        """Take over what `state_dict` gave; CheckpointError, and nothing changes, when it is not that."""
+        try:
+            mean_norm, known = float(state["normalization.mean_norm"]), state["known"].clone()
+            normalization = Normalization(state["normalization.mean"].clone(), mean_norm)
+        except (KeyError, RuntimeError) as error:
+            raise CheckpointError(f"this is no detector's state: {error}") from error
+        loaded: dict[str, dict[int, OnlineHead]] = {"head": {}, "coarse": {}, "fine": {}}
+        for key in sorted({tuple(name.split(".")[:2]) for name in state if name.split(".")[0] in loaded}):
+            name, number = key
+            head = self.make_head() if name == "head" else Rls(lam=BOX_PENALTY)
+            prefix = f"{name}.{number}."
+            head.load_state_dict({k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)})
+            loaded[name][int(number)] = head
+        if self.shared and set(loaded["head"]) != {0}:
+            raise CheckpointError("the detector's state has one classifier a class; expected one for all (mode=shared)")
+        self.normalization, self.heads = normalization, loaded["head"]
+        self._known = known
+        self.coarse.heads = {c: h for c, h in loaded["coarse"].items() if isinstance(h, Rls)}
+        self.fine.heads = {c: h for c, h in loaded["fine"].items() if isinstance(h, Rls)}
+
+
+def suppressed(found: Detections) -> Detections:
+    """Keep what no better detection of the same class overlaps by more than 0.3; at most 100, best first."""
+    kept = batched_nms(found.boxes, found.scores, found.labels, NMS_IOU)
+    return found.take(kept[:MOST_DETECTIONS])

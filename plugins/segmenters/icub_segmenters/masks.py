@@ -1,0 +1,141 @@
+"""On-line segmentation: which pixels of a region belong to the object (thesis 10.3.2, 11.3.3)."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import torch
+
+from icub_core.errors import CheckpointError, NotFittedError
+from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
+from icub_core.interfaces.online_head import OnlineHead
+from icub_segmenters.mask_geometry import crop_masks
+from icub_segmenters.minibootstrap import MakeHead
+from icub_segmenters.normalization import Normalization
+from icub_segmenters.sampling import sample
+
+SAMPLING_FACTOR = 0.3
+"""Share of a region's pixels that are kept, of the object's and of the others alike (the thesis's r)."""
+MOST_PIXELS = 16_000
+"""Pixels a class is trained on at most, half of them the object's; more add time but no accuracy."""
+
+
+@runtime_checkable
+class PretrainedMasks(Protocol):
+    """What an extractor with a class-agnostic mask branch offers beside its features."""
+
+    def mask_probabilities(self, features: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
+        """Return (n, s, s) probabilities that a pixel of a box (n, 4) belongs to the box's object."""
+
+
+class OnlineMasks:
+    """One per-pixel classifier a class, on the pixels of true boxes.
+
+    Positives of a class are its instances' pixels, negatives the other pixels of the same boxes; regions of other
+    classes play no part, so a new class leaves the others' classifiers as they are (thesis 11.8.1).
+    """
+
+    def __init__(self, make_head: MakeHead) -> None:
+        """Configure; `make_head` gives an untrained classifier."""
+        self.make_head = make_head
+        self.samples: dict[int, list[list[torch.Tensor]]] = {}  # class: [object's pixels, other pixels], (n, f) each
+        self.heads: dict[int, OnlineHead] = {}
+        self.scales: dict[int, Normalization] = {}
+        self._stale: set[int] = set()
+
+    def observe(
+        self,
+        extractor: FeatureExtractor,
+        image: ImageFeatures,
+        boxes: torch.Tensor,
+        masks: torch.Tensor,
+        labels: torch.Tensor,
+        generator: torch.Generator,
+    ) -> None:
+        """Keep a share of the pixels of true boxes (n, 4) with masks (n, H, W) and classes (n,)."""
+        if len(boxes) == 0:
+            return
+        features = extractor.mask_features(image, boxes).float().cpu()  # (n, s, s, f)
+        inside = crop_masks(masks, boxes, extractor.mask_size) >= 0.5
+        for pixels, of_object, label in zip(features, inside, labels.tolist(), strict=True):
+            kinds = self.samples.setdefault(label, [[], []])
+            for kind, chosen in zip(kinds, (of_object, ~of_object), strict=True):
+                rows = torch.nonzero(chosen.flatten()).flatten()
+                rows = sample(rows, int(SAMPLING_FACTOR * len(rows)), generator)
+                kind.append(pixels.flatten(0, 1)[rows])
+                if sum(map(len, kind)) > 2 * MOST_PIXELS:  # memory stays bounded however long the showing
+                    kind[:] = [_thinned(kind, MOST_PIXELS, generator)]
+            self._stale.add(label)
+
+    def train(self, seed: int) -> None:
+        """Train the classes that have new pixels; each class has its own scale, so the others do not change."""
+        for label in sorted(self._stale):
+            generator = torch.Generator().manual_seed(seed * 1_000_003 + label)
+            of_object, others = (_thinned(kind, MOST_PIXELS // 2, generator) for kind in self.samples[label])
+            self.heads.pop(label, None)
+            if len(of_object) == 0 or len(others) == 0:  # a mask that fills its box teaches nothing about edges
+                continue
+            X = torch.cat([of_object, others])
+            Y = torch.cat([torch.ones(len(of_object), 1), -torch.ones(len(others), 1)])
+            scale, head = Normalization.of(X), self.make_head()
+            head.fit(scale(X), Y)
+            self.heads[label], self.scales[label] = head, scale
+        self._stale.clear()
+
+    def predict(
+        self, extractor: FeatureExtractor, image: ImageFeatures, boxes: torch.Tensor, labels: torch.Tensor
+    ) -> torch.Tensor:
+        """Return (n, s, s) values in 0..1 for boxes (n, 4) of classes (n,): above 0.5 is the object.
+
+        Only the classifier of a box's own class is asked. A class without classifier fills its box.
+        """
+        if self._stale and not self.heads:
+            raise NotFittedError("the mask classifiers were asked before they were trained")
+        side = extractor.mask_size
+        values = torch.ones(len(boxes), side, side)
+        if len(boxes) == 0:
+            return values
+        features = extractor.mask_features(image, boxes).float().cpu()
+        for label in labels.unique().tolist():
+            head, rows = self.heads.get(label), torch.nonzero(labels == label).flatten()
+            if head is not None:
+                scores = head.decision_function(self.scales[label](features[rows].flatten(0, 2)))
+                values[rows] = (0.5 + 0.5 * scores).clamp(0, 1).reshape(len(rows), side, side).float()
+        return values
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return classifiers, scale and kept pixels, by dotted name."""
+        state: dict[str, torch.Tensor] = {}
+        for label, head in self.heads.items():
+            state |= {f"head.{label}.{key}": value for key, value in head.state_dict().items()}
+            state[f"mean.{label}"] = self.scales[label].mean
+            state[f"mean_norm.{label}"] = torch.tensor(self.scales[label].mean_norm, dtype=torch.float64)
+        for label, kinds in self.samples.items():
+            state |= {f"pixels.{label}.{number}": torch.cat(kind) for number, kind in enumerate(kinds)}
+        return state
+
+    def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
+        """Take over what `state_dict` gave; CheckpointError, and nothing changes, when it is not that."""
+        heads: dict[int, OnlineHead] = {}
+        scales: dict[int, Normalization] = {}
+        samples: dict[int, list[list[torch.Tensor]]] = {}
+        try:
+            for label in sorted({name.split(".")[1] for name in state if name.startswith("head.")}):
+                prefix = f"head.{label}."
+                heads[int(label)] = self.make_head()
+                heads[int(label)].load_state_dict(
+                    {k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)}
+                )
+                scales[int(label)] = Normalization(state[f"mean.{label}"].clone(), float(state[f"mean_norm.{label}"]))
+            for label in sorted({name.split(".")[1] for name in state if name.startswith("pixels.")}):
+                samples[int(label)] = [[state[f"pixels.{label}.{number}"].clone()] for number in range(2)]
+        except (KeyError, ValueError, IndexError) as error:
+            raise CheckpointError(f"this is no mask classifiers' state: {error}") from error
+        self.heads, self.scales, self.samples = heads, scales, samples
+        self._stale.clear()
+
+
+def _thinned(chunks: list[torch.Tensor], most: int, generator: torch.Generator) -> torch.Tensor:
+    """Join chunks (., f) and keep a uniform choice of at most `most` rows."""
+    rows = torch.cat(chunks)
+    return rows if len(rows) <= most else rows[sample(torch.arange(len(rows)), most, generator)]

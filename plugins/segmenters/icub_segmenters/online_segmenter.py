@@ -1,0 +1,250 @@
+"""The on-line segmenter: taught by showing, trained in seconds (thesis chapters 10 and 11)."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from icub_core.data import Instance, RgbdFrame
+from icub_core.errors import CheckpointError, ConfigError, DataError, NotFittedError, unknown_name
+from icub_core.files import write_atomically
+from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
+from icub_core.interfaces.online_head import OnlineHead
+from icub_core.interfaces.segmenter import Segmenter, UpdateReport
+from icub_segmenters.clutter import Compositor, Cutout
+from icub_segmenters.detection import Detections, OnlineDetector
+from icub_segmenters.mask_geometry import boxes_of_masks, paste_masks
+from icub_segmenters.masks import OnlineMasks, PretrainedMasks
+from icub_segmenters.minibootstrap import Minibootstrap
+from icub_segmenters.region_store import RegionStore
+from icub_segmenters.regions import describe
+from icub_segmenters.sampling import thin_out
+
+log = logging.getLogger(__name__)
+
+MODES = ("shared", "faithful")
+MASKS = ("online", "pretrained")
+FORMAT = 1
+FILE = "segmenter.safetensors"
+SURPLUS = 1.5
+"""Negatives in the store may outgrow the budget by this factor before old images are thinned out."""
+SMALLEST_MASK = 20
+"""Pixels; what is smaller than this is no finding."""
+
+
+class OnlineSegmenter(Segmenter):
+    """Pre-trained regions and features, on-line classifiers for regions and for pixels.
+
+    While frames arrive (`observe`) features are computed and kept; `update` only trains heads: all classes of the
+    detector anew on old and new regions together (Algorithms 2 and 3 keep the negatives balanced over images), masks
+    of classes with new pixels only. A class of one single instance is learnt from the boxes around it; a frame
+    without instances adds negatives.
+
+    An instance's score is what the classifier says: targets were +1 and -1, so 0 is undecided.
+
+    Source: thesis 5.3, 10.3, 11.3, 11.8.1. Beyond it: classes share one pool of regions (mode ``"shared"``, see
+    `Minibootstrap.train_shared`), taught objects are pasted into clutter, and regions are looked at twice.
+    """
+
+    def __init__(
+        self,
+        feature_extractor: FeatureExtractor,
+        online_head: Callable[[], OnlineHead],
+        mode: str = "shared",
+        batches: int = 10,
+        batch_size: int = 2000,
+        composites: int = 1,
+        masks: str = "online",
+        repool: bool = True,
+        lowest_score: float = -0.7,
+        seed: int = 0,
+    ) -> None:
+        """Configure; nothing is computed.
+
+        Args:
+            feature_extractor: Proposes and describes regions.
+            online_head: Gives an untrained classifier at every call; used for regions and for pixels.
+            mode: ``"shared"``: one pool and one factorisation for all classes; ``"faithful"``: Algorithm 1, each
+                class with its own samples and centres.
+            batches: Batches of negatives (n_B).
+            batch_size: Negatives in a batch (BS).
+            composites: Pictures with pasted clutter made of every observed instance; 0 for none.
+            masks: ``"online"``: classifiers a class; ``"pretrained"``: the extractor's own class-agnostic masks.
+            repool: Look a second time at refined boxes.
+            lowest_score: Instances that score less are not reported.
+            seed: Decides everything random.
+        """
+        for what, value, known in (("mode", mode, MODES), ("kind of masks", masks, MASKS)):
+            if value not in known:
+                raise ConfigError(unknown_name(what, value, known))
+        if composites < 0:
+            raise ConfigError(f"composites is {composites}; expected 0 or more")
+        if masks == "pretrained" and not isinstance(feature_extractor, PretrainedMasks):
+            raise ConfigError("masks='pretrained' needs a feature extractor with a mask branch; use masks='online'")
+        self.extractor = feature_extractor
+        self.procedure = Minibootstrap(batches, batch_size)
+        self.composites, self.lowest_score, self.seed = composites, lowest_score, seed
+        self.pretrained_masks = masks == "pretrained"
+        self.detector = OnlineDetector(online_head, self.procedure, shared=mode == "shared", repool=repool)
+        self.masks = OnlineMasks(online_head)
+        self.store = RegionStore(feature_extractor.region_dim)
+        self._labels: list[str] = []  # numbered in the order in which they were first seen
+        self._trained: tuple[str, ...] = ()
+        self._observed = 0
+        self._compositor: Compositor | None = None
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Classes known since the last `update`, in the order in which they were first shown."""
+        return self._trained
+
+    def observe(self, frame: RgbdFrame, instances: Sequence[Instance]) -> None:
+        """Extract the features of one annotated frame, and of `composites` pictures made of each instance.
+
+        Raises:
+            DataError: A mask is empty or has another size than the image; nothing is kept of the frame.
+        """
+        size = frame.rgb.shape[:2]
+        for instance in instances:
+            if instance.mask.shape != size:
+                raise DataError(f"the mask of '{instance.label}' is {instance.mask.shape}; expected the image's {size}")
+            if not instance.mask.any():
+                raise DataError(f"the mask of '{instance.label}' is empty; expected at least one pixel")
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self._observed)
+        rng = np.random.default_rng((self.seed, self._observed))
+        self._learn_from(frame.rgb, [(i.label, i.mask) for i in instances], generator)
+        self._observed += 1
+        if self.composites == 0 or not instances:
+            return
+        if self._compositor is None:
+            self._compositor = Compositor.from_folder()
+        for instance in instances:
+            cutout = Cutout.of(instance.label, frame.rgb, instance.mask)
+            for _ in range(self.composites):
+                made = self._compositor.compose(cutout, (size[0], size[1]), rng)
+                self._learn_from(made.rgb, list(made.instances), generator)
+            self._compositor.remember(cutout, rng)
+
+    def update(self) -> UpdateReport:
+        """Train the heads on everything observed so far.
+
+        Raises:
+            NotFittedError: No instance was ever observed.
+        """
+        start = time.perf_counter()
+        if not bool((self.store.label >= 0).any()):
+            raise NotFittedError("there is nothing to learn: observe at least one frame with an instance first")
+        # a function of what was observed and of nothing else, so that updates in between change nothing
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self._observed)
+        self.detector.train(self.store, len(self._labels), generator)
+        middle = time.perf_counter()
+        if not self.pretrained_masks:
+            self.masks.train(self.seed)
+        end = time.perf_counter()
+        self._trained = tuple(self._labels)
+        counts = torch.bincount(self.store.label[self.store.label >= 0], minlength=len(self._labels)).tolist()
+        return UpdateReport(
+            seconds=end - start,
+            parts={"detection": middle - start, "masks": end - middle},
+            classes=self._trained,
+            samples=dict(zip(self._trained, counts, strict=True)),
+        )
+
+    def segment(self, frame: RgbdFrame) -> tuple[Instance, ...]:
+        """Find the taught objects, best first. Raises NotFittedError before the first `update`."""
+        if not self._trained:
+            raise NotFittedError("nothing was taught yet: call observe for every frame, then update")
+        with torch.no_grad():
+            image = self.extractor.extract(frame.rgb)
+            found = self.detector.detect(self.extractor, image, self.lowest_score)
+            masks = paste_masks(self._mask_values(image, found), found.boxes, image.image_size)
+            large = torch.nonzero(masks.flatten(1).sum(dim=1) >= SMALLEST_MASK).flatten()
+            found, masks = found.take(large), masks[large]
+            tight = Detections(boxes_of_masks(masks, found.boxes), found.labels, found.scores)
+        return tuple(
+            Instance(self._trained[label], score, box.double().numpy(), mask.numpy())
+            for label, score, box, mask in zip(
+                tight.labels.tolist(), tight.scores.tolist(), tight.boxes, masks, strict=True
+            )
+        )
+
+    def save(self, path: Path) -> None:
+        """Write heads and kept regions to the folder `path`, as segmenter.safetensors."""
+        if not self._trained:
+            raise NotFittedError("nothing was taught yet: there is nothing to save")
+        tensors = {f"detector.{k}": v for k, v in self.detector.state_dict().items()}
+        tensors |= {f"masks.{k}": v for k, v in self.masks.state_dict().items()}
+        tensors |= {f"store.{k}": v for k, v in self.store.state_dict().items()}
+        tensors = {name: tensor.contiguous() for name, tensor in tensors.items()}
+        about = {
+            "format": FORMAT,
+            "labels": self._labels,
+            "trained": len(self._trained),
+            "observed": self._observed,
+            "region_dim": self.extractor.region_dim,
+            "mask_dim": self.extractor.mask_dim,
+        }
+        # names and tensors in one file: they cannot be of two different savings
+        metadata = {"about": json.dumps(about)}
+        write_atomically(path / FILE, lambda file: save_file(tensors, file, metadata))
+
+    def load(self, path: Path) -> None:
+        """Read what `save` wrote; CheckpointError for anything else, and the segmenter stays as it was."""
+        try:
+            with safe_open(path / FILE, framework="pt") as file:
+                about = json.loads((file.metadata() or {})["about"])
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            labels, trained, observed = list(about["labels"]), int(about["trained"]), int(about["observed"])
+            dims = about["format"], about["region_dim"], about["mask_dim"]
+        except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
+            raise CheckpointError(f"{path} holds no segmenter: {error}") from error
+        expected = FORMAT, self.extractor.region_dim, self.extractor.mask_dim
+        if dims != expected:
+            raise CheckpointError(f"{path} has format, region and mask dimensions {dims}; expected {expected}")
+        parts = {
+            part: {name[len(part) + 1 :]: t for name, t in tensors.items() if name.startswith(f"{part}.")}
+            for part in ("detector", "masks", "store")
+        }
+        detector = OnlineDetector(
+            self.detector.make_head, self.procedure, shared=self.detector.shared, repool=self.detector.repool
+        )
+        masks, store = OnlineMasks(self.masks.make_head), RegionStore(self.extractor.region_dim)
+        detector.load_state_dict(parts["detector"])
+        masks.load_state_dict(parts["masks"])
+        store.load_state_dict(parts["store"])
+        self.detector, self.masks, self.store = detector, masks, store
+        self._labels, self._trained, self._observed = labels, tuple(labels[:trained]), observed
+
+    def _learn_from(self, rgb: np.ndarray, instances: list[tuple[str, np.ndarray]], generator: torch.Generator) -> None:
+        """Keep regions and pixels of one picture with its (label, mask) pairs."""
+        with torch.no_grad():
+            image = self.extractor.extract(rgb)
+            masks = (
+                torch.from_numpy(np.stack([m for _, m in instances])) if instances else torch.zeros(0, *rgb.shape[:2])
+            )
+            boxes = boxes_of_masks(masks.bool(), torch.zeros(len(instances), 4))
+            numbers = torch.tensor([self._number(label) for label, _ in instances], dtype=torch.int64)
+            self.store.append(describe(self.extractor, image, boxes, numbers, generator))
+            if not self.pretrained_masks:
+                self.masks.observe(self.extractor, image, boxes, masks, numbers, generator)
+        if int((self.store.near < 0).sum()) > SURPLUS * self.procedure.budget:
+            thin_out(self.store, self.procedure.budget, generator)
+
+    def _mask_values(self, image: ImageFeatures, found: Detections) -> torch.Tensor:
+        if self.pretrained_masks:
+            assert isinstance(self.extractor, PretrainedMasks)
+            return self.extractor.mask_probabilities(image, found.boxes).float().cpu()
+        return self.masks.predict(self.extractor, image, found.boxes, found.labels)
+
+    def _number(self, label: str) -> int:
+        if label not in self._labels:
+            self._labels.append(label)
+        return self._labels.index(label)
