@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from icub_core.data import Instance
 from icub_core.geometry import is_rigid
 from icub_core.hooks import Events, listen
-from icub_core.pipeline.appearance import random_light, random_surface
+from icub_core.pipeline.appearance import random_lights, random_surface
 from icub_core.pipeline.context import RunContext
 from icub_core.pipeline.pictures import contact_sheet, draw_instances, save_animation, save_picture
 from icub_core.pipeline.report import write_report
@@ -46,8 +46,9 @@ def test_rooms_differ_by_seed_and_repeat_by_seed():
     first, again, other = (random_surface(np.random.default_rng(s)).texture for s in (1, 1, 2))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
-    light = random_light(np.random.default_rng(3))
-    assert light.direction[2] < 0, "a lamp shines downwards"
+    lights = random_lights(np.random.default_rng(3))
+    assert all(light.direction[2] < 0 for light in lights), "lamps shine downwards"
+    assert np.sum([light.diffuse for light in lights], axis=0).max() < 1, "lamps do not overexpose"
 
 
 def test_pictures_can_be_read_back(tmp_path):

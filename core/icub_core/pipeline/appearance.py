@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from icub_core.scene import Light, Material
+from icub_core.scene import Light, Material, Vec3
 
 TEXTURE_SIZE = 128
 
@@ -46,15 +46,23 @@ def random_surface(rng: np.random.Generator) -> Material:
     )
 
 
-def random_light(rng: np.random.Generator) -> Light:
-    """Return a lamp somewhere above, of slightly warm or cold light."""
+def random_lights(rng: np.random.Generator) -> tuple[Light, ...]:
+    """Return one or two lamps somewhere above, of slightly warm or cold light, that together never overexpose."""
+    count = int(rng.integers(1, 3))
+    brightness, shade = rng.uniform(0.4, 0.75), rng.uniform(0.15, 0.3)
+    return tuple(_lamp(rng, brightness / count, shade / count) for _ in range(count))
+
+
+def _lamp(rng: np.random.Generator, diffuse: float, ambient: float) -> Light:
     tilt, azimuth = rng.uniform(0.1, 0.8), rng.uniform(0, 2 * np.pi)
-    direction = (np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), -np.cos(tilt))
     tint = 1 + rng.normal(0, 0.05, 3)
-    diffuse = np.clip(rng.uniform(0.4, 0.8) * tint, 0, 1)
-    ambient = np.clip(rng.uniform(0.2, 0.4) * tint, 0, 1)
     return Light(
-        direction=(float(direction[0]), float(direction[1]), float(direction[2])),
-        diffuse=(float(diffuse[0]), float(diffuse[1]), float(diffuse[2])),
-        ambient=(float(ambient[0]), float(ambient[1]), float(ambient[2])),
+        direction=_vec3([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), -np.cos(tilt)]),
+        diffuse=_vec3(np.clip(diffuse * tint, 0, 1)),
+        ambient=_vec3(np.clip(ambient * tint, 0, 1)),
     )
+
+
+def _vec3(values: ArrayLike) -> Vec3:
+    x, y, z = (float(v) for v in np.asarray(values))
+    return x, y, z

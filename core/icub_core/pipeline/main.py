@@ -106,7 +106,7 @@ def _learn_to_see(context: RunContext, plugins: Assembly, segmenter: Segmenter, 
         with context.stage("see"):
             targets = [objects.get(name) for name in settings.teach.objects]
             strangers = _strangers(context, objects, settings)
-            seeing.see(context, simulator, robot, targets, strangers, segmenter, settings.see)
+            seeing.see(context, simulator, targets, strangers, segmenter, settings.see)
     finally:
         simulator.close()
     segmenter.save(heads)
@@ -117,8 +117,7 @@ def _strangers(context: RunContext, objects: ObjectSet, settings: MainSettings) 
     """Objects that were never taught: the rest of the object set, and random ones."""
     rest = [objects.get(name) for name in objects.names if name not in settings.teach.objects]
     rest = rest[: settings.see.strangers // 2]
-    smallest, largest = STRANGER_SIZE
-    random = registry.build("objects", STRANGERS_SET, smallest=smallest, largest=largest)
+    random = registry.build("objects", STRANGERS_SET, size=list(STRANGER_SIZE))
     drawn = context.rng("strangers").choice(len(random.names), settings.see.strangers - len(rest), replace=False)
     return rest + [random.get(random.names[i]) for i in sorted(drawn)]
 

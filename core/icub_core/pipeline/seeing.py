@@ -13,7 +13,7 @@ from icub_core.evaluation.detection import evaluate_instances
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.interfaces.simulator import Simulator
-from icub_core.pipeline.appearance import random_light, random_surface
+from icub_core.pipeline.appearance import random_lights, random_surface
 from icub_core.pipeline.context import RunContext
 from icub_core.pipeline.pictures import Image, contact_sheet, draw_instances, save_picture
 from icub_core.pipeline.settings import SeeSettings, TeachSettings
@@ -42,7 +42,7 @@ def teach(
     annotated = 0
     for number, spec in enumerate(specs):
         table = Table(material=random_surface(rng))
-        scene = Scene(objects=(spec,), table=table, floor=random_surface(rng), lights=(random_light(rng),))
+        scene = Scene(objects=(spec,), table=table, floor=random_surface(rng), lights=random_lights(rng))
         simulator.load(robot, scene)
         simulator.reset()
         frames = show(simulator, spec.name, Showing(frames=settings.frames), rng)
@@ -73,7 +73,6 @@ def learn(context: RunContext, segmenter: Segmenter) -> None:
 def see(
     context: RunContext,
     simulator: Simulator,
-    robot: RobotDescription,
     targets: Sequence[ObjectSpec],
     strangers: Sequence[ObjectSpec],
     segmenter: Segmenter,
@@ -83,9 +82,7 @@ def see(
     truths: list[tuple[Instance, ...]] = []
     predictions: list[tuple[Instance, ...]] = []
     examples: list[Image] = []
-    pictures = tabletop_pictures(
-        simulator, robot, targets, strangers, Tabletop(frames=settings.frames), context.rng("see")
-    )
+    pictures = tabletop_pictures(simulator, targets, strangers, Tabletop(frames=settings.frames), context.rng("see"))
     for number, (frame, truth) in enumerate(pictures):
         found = segmenter.segment(frame)
         truths.append(truth)

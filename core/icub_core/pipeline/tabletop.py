@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from icub_core.data import Instance, RgbdFrame
 from icub_core.geometry import look_at, make_transform, quat_wxyz_to_matrix, rotation_about
 from icub_core.interfaces.simulator import Rendering, Simulator
-from icub_core.pipeline.appearance import random_light, random_surface
-from icub_core.robot_description import RobotDescription
+from icub_core.pipeline.appearance import random_lights, random_surface
 from icub_core.scene import CameraView, ObjectSpec, Scene, Table
 
 FRAMES_PER_ROOM = 5
@@ -85,7 +84,6 @@ def visible_instances(picture: Rendering, names: Sequence[str], targets: Sequenc
 
 def tabletop_pictures(
     simulator: Simulator,
-    robot: RobotDescription | None,
     targets: Sequence[ObjectSpec],
     strangers: Sequence[ObjectSpec],
     tabletop: Tabletop,
@@ -95,7 +93,6 @@ def tabletop_pictures(
 
     Args:
         simulator: Its world is replaced.
-        robot: Stands behind the table in its home pose.
         targets: Taught objects.
         strangers: Objects that were never taught.
         tabletop: Numbers and ranges.
@@ -110,8 +107,8 @@ def tabletop_pictures(
     for number in range(tabletop.frames):
         if number % FRAMES_PER_ROOM == 0:
             furniture = replace(table, material=random_surface(rng))
-            lights = tuple(random_light(rng) for _ in range(int(rng.integers(1, 3))))
-            simulator.load(robot, replace(scene, table=furniture, floor=random_surface(rng), lights=lights))
+            room = replace(scene, table=furniture, floor=random_surface(rng), lights=random_lights(rng))
+            simulator.load(None, room)  # cameras stand anywhere, also where the robot's head would be in the way
         simulator.reset()
         drawn: list[ObjectSpec] = []
         for pool, (low, high) in ((targets, tabletop.targets), (strangers, tabletop.strangers)):
