@@ -38,7 +38,9 @@ class Rendering:
 
 
 class Simulator(ABC):
-    """One world. Contract:
+    """One world.
+
+    Contract:
 
     - nothing but `load` works before `load`; `load` again replaces the world;
     - `reset` restores time 0, the home pose at rest, every object at its rest pose on its given place or parked away;
@@ -131,8 +133,9 @@ class Simulator(ABC):
 
         Args:
             camera: Name of a camera of the robot, or a free camera.
-            width, height: Pixels.
-            look_at: (3,) world point; a named camera then keeps its place but turns to it (the thesis's tracking camera).
+            width: Pixels.
+            height: Pixels.
+            look_at: (3,) world point; the camera keeps its place but turns to it (the thesis's tracking camera).
             segmentation: Also say which object each pixel shows.
             shadows: Prettier and about ten times slower.
         """

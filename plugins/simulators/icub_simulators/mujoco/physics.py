@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 
 import mujoco
@@ -18,6 +19,11 @@ from icub_simulators.mujoco.builder import build_physics, parking_place
 from icub_simulators.mujoco.index import ObjectSlots, build_index
 
 FloatArray = NDArray[np.float64]
+
+logger = logging.getLogger(__name__)
+
+# left alone, the engine prints each warning and appends it to a file in the working directory; `faults` reports them
+mujoco.set_mju_user_warning(lambda text: logger.debug("mujoco: %s", text))
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _NAN_WARNINGS = [

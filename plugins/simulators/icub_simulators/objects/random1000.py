@@ -59,7 +59,7 @@ class Random1000(ObjectSet):
 
     Args:
         size: Lowest and highest largest extent in metres; each object is resized to a length drawn in between (always
-            the same for one object and range) and weighs 500 kg/m^3, at least 30 g. None keeps the true size and 0.1 kg.
+            the same for one object and range) and weighs 500 kg/m^3, at least 30 g. None keeps true size and 0.1 kg.
         graspable: Resize each object for the iCub's hand instead: in the lowest stable pose that allows it, its
             narrowest horizontal width is 40 to 62 mm (drawn once an object), its height 50 to 250 mm and its largest
             extent within `size` (7 to 22 cm where none is given). Objects that cannot be are left out.
