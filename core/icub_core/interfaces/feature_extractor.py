@@ -28,10 +28,28 @@ class ImageFeatures:
     scores: torch.Tensor
 
 
+@dataclass(frozen=True, eq=False)
+class RpnCells:
+    """What an on-line region proposal network learns from: one row a location of the feature maps.
+
+    Attributes:
+        features: (L, f_r) float32.
+        anchors: (L, A, 4) float32, the anchors centred on each location, x0 y0 x1 y1 in original pixels.
+        types: (L, A) int64, which classifier an anchor belongs to (its size and ratio), from 0.
+    """
+
+    features: torch.Tensor
+    anchors: torch.Tensor
+    types: torch.Tensor
+
+
 class FeatureExtractor(ABC):
     """Frozen features of images, regions, pixels of regions, and (for the on-line RPN) cells.
 
     Contract: the same image gives the same numbers; nothing is trained by being used; dimensions are constant.
+
+    An extractor with a pre-trained, class-agnostic mask branch also has
+    ``mask_probabilities(features, boxes (N, 4)) -> (N, mask_size, mask_size) in 0..1``; one without lacks the method.
     """
 
     @property
@@ -60,3 +78,11 @@ class FeatureExtractor(ABC):
     @abstractmethod
     def mask_features(self, features: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
         """Describe the pixels of boxes (N, 4): (N, mask_size, mask_size, mask_dim) float32."""
+
+    def refined_boxes(self, features: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
+        """Return boxes (N, 4), original pixels, after a pre-trained class-agnostic refinement, if there is one."""
+        return boxes
+
+    def rpn_cells(self, features: ImageFeatures) -> RpnCells | None:
+        """Return what an on-line region proposal network learns from; None (the default) when there is no RPN."""
+        return None

@@ -13,6 +13,7 @@ import os
 import time
 from collections.abc import Callable
 from pathlib import Path
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -131,7 +132,9 @@ def generate(
                 job.terminate()
             job.join()
     if any(job.exitcode for job in jobs):
-        raise DataError(f"rendering into {folder} failed (exit codes {[job.exitcode for job in jobs]}); see the log above")
+        raise DataError(
+            f"rendering into {folder} failed (exit codes {[job.exitcode for job in jobs]}); see the log above"
+        )
     if progress is not None:
         progress(wanted * SHARD_FRAMES, wanted * SHARD_FRAMES)
 
@@ -139,21 +142,25 @@ def generate(
 class FeatureTaskFrames:
     """The frames of a folder, held in memory as compressed bytes."""
 
-    def __init__(self, folder: Path, split: str = TRAIN) -> None:
-        """Load all shards of a split.
+    def __init__(self, folder: Path, split: str, shards: int) -> None:
+        """Load the first shards of a split.
 
         Raises:
-            DataError: When there is none, or a shard cannot be read.
+            DataError: When one is missing or cannot be read.
         """
-        paths = sorted(folder.glob(f"{split}_*.npz"))
-        if not paths:
-            raise DataError(f"no {split} frames in {folder}: render them first (feature_task.cache.generate)")
+        paths = [_shard_path(folder, split, i) for i in range(shards)]
+        missing = [path.name for path in paths if not path.exists()]
+        if missing:
+            raise DataError(
+                f"{folder} lacks {len(missing)} of {shards} shards of the FEATURE-TASK's {split} frames "
+                f"(such as {missing[0]}); render them with FeatureTask.prepare()"
+            )
         self._records: list[tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.int64]]] = []
         for path in paths:
             try:
                 with np.load(path, allow_pickle=False) as shard:
                     data = {key: shard[key] for key in shard.files}
-            except (OSError, ValueError, EOFError) as error:
+            except (OSError, ValueError, EOFError, BadZipFile) as error:
                 raise DataError(f"{path} is not a readable shard ({error}); delete it and render again") from error
             for i in range(len(data["jpeg_at"]) - 1):
                 jpeg = data["jpeg"][data["jpeg_at"][i] : data["jpeg_at"][i + 1]]

@@ -95,7 +95,9 @@ class FeatureTaskRenderer:
         try:
             self._renderer = mujoco.Renderer(self._model, HEIGHT, WIDTH)
         except Exception as error:  # the binding raises several unrelated types when no GL is found
-            raise SimulationError(f"MuJoCo cannot render here (MUJOCO_GL={os.environ['MUJOCO_GL']}): {error}") from error
+            raise SimulationError(
+                f"MuJoCo cannot render here (MUJOCO_GL={os.environ['MUJOCO_GL']}): {error}"
+            ) from error
         self._classes = np.zeros(self._model.ngeom + 1, dtype=np.int64)
         for label, item in enumerate(self.objects, start=1):
             body = self._model.body(item.name)

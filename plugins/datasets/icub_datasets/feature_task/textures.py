@@ -70,9 +70,7 @@ def _write_text(rng: np.random.Generator, face: NDArray[np.uint8], lines: int) -
         scale = float(rng.uniform(0.3, 1.6)) * size / 128
         place = (int(rng.integers(-size // 8, size // 2)), int(rng.integers(size // 8, size)))
         colour = tuple(float(c) for c in _colour(rng))
-        cv2.putText(
-            face, word, place, int(rng.integers(0, 8)), scale, colour, int(rng.integers(1, 4)), cv2.LINE_AA
-        )
+        cv2.putText(face, word, place, int(rng.integers(0, 8)), scale, colour, int(rng.integers(1, 4)), cv2.LINE_AA)
 
 
 def _label_face(rng: np.random.Generator, size: int, palette: NDArray[np.float64]) -> NDArray[np.uint8]:

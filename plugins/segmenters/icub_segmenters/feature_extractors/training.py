@@ -30,6 +30,10 @@ from safetensors.torch import save_file
 from torch import nn
 
 from icub_core.errors import CheckpointError
+from icub_core.evaluation.results import machine, versions
+from icub_core.files import write_atomically, write_text_atomically
+from icub_core.registry import load
+from icub_segmenters.feature_extractors.compact import CENTER, SCALE, CompactMaskRcnn, calibrate
 from icub_segmenters.feature_extractors.network import CompactNetwork
 
 log = logging.getLogger(__name__)
@@ -174,7 +178,9 @@ class _Trainer:
         if rank == 0:
             keep = min(EMA_DECAY, (1 + self.state.step) / (10 + self.state.step))
             with torch.no_grad():
-                for mine, new in zip(self.average.state_dict().values(), self.network.state_dict().values(), strict=True):
+                for mine, new in zip(
+                    self.average.state_dict().values(), self.network.state_dict().values(), strict=True
+                ):
                     if mine.is_floating_point():
                         mine.lerp_(new, 1 - keep)
                     else:
@@ -225,14 +231,15 @@ def write_safetensors(path: Path, tensors: dict[str, torch.Tensor], metadata: di
     Raises:
         CheckpointError: When the file cannot be written; an older file stays as it was.
     """
-    scratch = path.with_suffix(f".{os.getpid()}.tmp")
-    try:
-        save_file({k: v.detach().contiguous().clone() for k, v in tensors.items()}, scratch, metadata)
-        os.replace(scratch, path)
-    except (OSError, SafetensorError) as error:
-        raise CheckpointError(f"cannot write {path}: {error}") from error
-    finally:
-        scratch.unlink(missing_ok=True)
+    content = {key: value.detach().contiguous().clone() for key, value in tensors.items()}
+
+    def write(scratch: Path) -> None:
+        try:
+            save_file(content, scratch, metadata)
+        except SafetensorError as error:  # hides the operating system's error
+            raise OSError(str(error)) from error
+
+    write_atomically(path, write)
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], TrainingState]:
@@ -249,14 +256,24 @@ def read_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], TrainingState]
         raise CheckpointError(f"{path} is not a checkpoint of this training ({error})") from error
 
 
-def export(checkpoint: Path, weights: Path) -> TrainingState:
-    """Write the averaged weights of a checkpoint as half-precision safetensors, ready to ship."""
+def export(checkpoint: Path, weights: Path, task: TrainingTask, images: int = 64) -> TrainingState:
+    """Write the averaged weights of a checkpoint as half-precision safetensors, ready to ship.
+
+    Args:
+        checkpoint: What `train` returned.
+        weights: File to write.
+        task: Gives the images on which the scales of the region features are measured.
+        images: Number of those.
+    """
     tensors, state = read_checkpoint(checkpoint)
-    kept = {
-        key.removeprefix("average."): value.half()
-        for key, value in tensors.items()
-        if key.startswith("average.") and not key.endswith("num_batches_tracked")
-    }
+    average = {k.removeprefix("average."): v for k, v in tensors.items() if k.startswith("average.")}
+    network = CompactNetwork(state.label_count)
+    network.load_state_dict(average)
+    rng = np.random.default_rng([state.seed, 7])
+    samples = [torch.from_numpy(task.sample(rng).rgb).permute(2, 0, 1) for _ in range(images)]
+    center, scale = calibrate(network.eval(), samples)
+    kept = {k: v.half() for k, v in average.items() if not k.endswith("num_batches_tracked")}
+    kept |= {CENTER: center, SCALE: scale}
     write_safetensors(weights, kept, {"architecture": "compact", "classes": str(state.label_count)})
     return state
 
@@ -352,3 +369,108 @@ def train(
     if failed:
         raise CheckpointError(f"a training process failed; the same command goes on from {folder / CHECKPOINT}")
     return folder / CHECKPOINT
+
+
+TRAINING_SHARE = 0.93
+"""Of the wall time that is left after rendering, this goes to training, the rest to export and evaluation."""
+
+
+def _plan(run_dir: Path, minutes: float, spent: float) -> float:
+    """Minutes of training, fixed when a run begins so that resuming does not bend its schedule."""
+    path = run_dir / "plan.json"
+    if not path.exists():
+        planned = max(0.5 * minutes, TRAINING_SHARE * (minutes - spent))
+        write_text_atomically(path, json.dumps({"asked_minutes": minutes, "training_minutes": planned}))
+    plan = json.loads(path.read_text())
+    if plan["asked_minutes"] != minutes:
+        raise CheckpointError(f"{run_dir} was begun with {plan['asked_minutes']:g} minutes, asked for {minutes:g}")
+    return float(plan["training_minutes"])
+
+
+def train_compact(
+    run_dir: Path, seed: int, minutes: float, progress: Callable[[float, str], None], data: Path | None = None
+) -> Path:
+    """Render the FEATURE-TASK, train on it, export and evaluate: what ``icub train feature_extractor=compact`` does.
+
+    Args:
+        run_dir: Folder for checkpoint, weights (``compact.safetensors``) and card (``compact.json``).
+        seed: Seed of weights, samples and scenes.
+        minutes: Wall time in all.
+        progress: Called with the finished share and a short text.
+        data: Folder of the rendered frames; None: below the user's cache folder.
+
+    Returns:
+        Path of the weights.
+    """
+    begun = time.monotonic()
+    dataset = load("dataset", "feature_task")
+    frames: Any = dataset(path=data, split="train", seed=seed)
+    unseen: Any = dataset(path=data, split="validation", seed=seed)
+    for part in (frames, unseen):
+        part.prepare(lambda ready, wanted: progress(0.0, f"rendering {ready}/{wanted}"))
+    budget = Budget(minutes=_plan(run_dir, minutes, (time.monotonic() - begun) / 60))
+
+    def report(news: dict[str, float]) -> None:
+        losses = " ".join(f"{name} {news[name]:.2f}" for name in ("class", "box", "mask"))
+        progress(TRAINING_SHARE * news["share"], f"{int(news['images'])} images, {losses}")
+
+    checkpoint = train(frames, run_dir, budget, seed, progress=report)
+    weights = run_dir / "compact.safetensors"
+    progress(TRAINING_SHARE, "exporting")
+    state = export(checkpoint, weights, frames)
+    from icub_segmenters.feature_extractors.evaluation import evaluate
+
+    rest = 1 - TRAINING_SHARE
+    figures = evaluate(
+        CompactMaskRcnn(str(weights)), unseen, len(unseen), lambda s: progress(TRAINING_SHARE + rest * s, "evaluating")
+    )
+    command = f"icub train feature_extractor=compact --seed {seed} --minutes {minutes:g}"
+    write_card(run_dir / "compact.json", command, state, len(frames), len(unseen), figures)
+    return weights
+
+
+def write_card(
+    path: Path, command: str, state: TrainingState, frames: int, unseen: int, figures: dict[str, float]
+) -> None:
+    """Write the card of weights: how to make them again, from what, how long it took, and how good they are."""
+    card = {
+        "name": "compact",
+        "command": command,
+        "seed": state.seed,
+        "data": f"FEATURE-TASK: {frames} rendered frames, {state.label_count} classes, copy-paste on the fly",
+        "images_seen": state.images,
+        "training_seconds": round(state.seconds),
+        "machine": machine(),
+        "versions": versions(),
+        "figures": {f"feature_task.{key}": round(value, 4) for key, value in figures.items()},
+        "figures_n": unseen,
+        "license": "BSD-3-Clause",
+    }
+    write_text_atomically(path, json.dumps(card, indent=2) + "\n")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run ``python -m icub_segmenters.feature_extractors.training``: the same with a folder for the frames."""
+    parser = argparse.ArgumentParser(description="Pre-train the compact feature extractor.")
+    parser.add_argument("run_dir", type=Path)
+    parser.add_argument("--minutes", type=float, default=75.0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--data", type=Path, help="folder of the rendered frames")
+    options = parser.parse_args(arguments)
+    from rich.console import Console
+
+    console = Console()
+    options.run_dir.mkdir(parents=True, exist_ok=True)
+    with console.status("pre-training") as status:
+        weights = train_compact(
+            options.run_dir,
+            options.seed,
+            options.minutes,
+            lambda share, text: status.update(f"{100 * share:.1f} % {text}"),
+            options.data,
+        )
+    console.print(f"weights: {weights}")
+
+
+if __name__ == "__main__":
+    main()
