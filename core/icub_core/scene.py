@@ -118,9 +118,9 @@ class Table:
 class Light:
     """A directional light: `direction` is where it shines, `diffuse` its colour."""
 
-    direction: Vec3 = (-0.3, 0.2, -1.0)
+    direction: Vec3 = (0.5, -0.35, -1.0)
     diffuse: Vec3 = (0.6, 0.6, 0.6)
-    ambient: Vec3 = (0.25, 0.25, 0.25)
+    ambient: Vec3 = (0.3, 0.3, 0.3)
 
 
 @dataclass(frozen=True, eq=False)

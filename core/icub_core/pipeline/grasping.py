@@ -22,7 +22,7 @@ PLANS_TRIED = 10
 FILM_EVERY = 4
 """Control steps between two pictures of the film: ten a second."""
 FILM_SIZE = (320, 240)
-FILM_VIEW = CameraView(look_at([-1.0, 0.62, 1.42], [-0.3, 0.06, 1.1]), fovy=0.85)
+FILM_VIEW = CameraView(look_at([-0.92, 0.5, 1.32], [-0.27, 0.03, 1.13]), fovy=0.78)
 """From across the table, on the side of the right hand."""
 
 

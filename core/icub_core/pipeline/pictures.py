@@ -40,8 +40,10 @@ def draw_instances(rgb: Image, instances: Sequence[Instance]) -> Image:
 
 
 def _write(canvas: Image, text: str, origin: tuple[int, int], colour: tuple[int, int, int]) -> None:
-    cv2.putText(canvas, text, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.33, (0, 0, 0), 2, cv2.LINE_AA)
-    cv2.putText(canvas, text, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.33, colour, 1, cv2.LINE_AA)
+    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.33, 1)
+    x, y = min(origin[0], max(canvas.shape[1] - width - 2, 0)), origin[1]
+    cv2.rectangle(canvas, (x - 1, y - height - 1), (x + width + 1, y + 3), (20, 20, 20), cv2.FILLED)
+    cv2.putText(canvas, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.33, colour, 1, cv2.LINE_AA)
 
 
 def captioned(rgb: Image, text: str) -> Image:
