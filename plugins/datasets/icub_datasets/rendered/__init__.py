@@ -1,0 +1,1 @@
+"""TARGET-TASKs that are rendered when asked for and kept on disk."""
