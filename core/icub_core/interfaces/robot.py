@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from icub_core.errors import ConfigError
 from icub_core.robot_description import RobotDescription
+from icub_core.scene import Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +31,21 @@ class IkSolution:
     position_error: float
     orientation_error: float
     limits_hit: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class GazeSolution:
+    """Where to turn the neck so that a camera looks at a point.
+
+    Attributes:
+        q: (n,) full joint vector, rad, within the limits; only the neck differs from the start.
+        reached: Whether the point lies within the tolerance of the optical axis.
+        angle: Between the optical axis and the line to the point, rad.
+    """
+
+    q: NDArray[np.float64]
+    reached: bool
+    angle: float
 
 
 class Robot(ABC):
@@ -116,3 +133,24 @@ class Robot(ABC):
             )
             for T in T_world_frames
         ]
+
+    def gaze(self, point: NDArray[np.float64], q_start: NDArray[np.float64], camera: str = "head_cam") -> GazeSolution:
+        """Turn the neck so that `camera` looks at `point` (3,), world, metres; other joints stay at `q_start` (n,).
+
+        Optional: a robot without a neck keeps this default, which raises ConfigError.
+        """
+        raise ConfigError(f"robot '{self.description.name}' has no gaze controller")
+
+    def collisions(
+        self, q: NDArray[np.float64], table: Table | None = None, margin: float = 0.0
+    ) -> tuple[tuple[str, str], ...]:
+        """Return what touches at `q` (n,): pairs of links, or of a link and ``"table"``; none is an empty tuple.
+
+        Optional: a robot without collision shapes keeps this default, which raises ConfigError.
+
+        Args:
+            q: Joint vector, rad.
+            table: Also check the arms and hands with this table.
+            margin: Metres; closer than this counts as touching.
+        """
+        raise ConfigError(f"robot '{self.description.name}' has no collision check")

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError, DataError, unknown_name
-from icub_core.interfaces.robot import IkSolution, Robot
+from icub_core.interfaces.robot import GazeSolution, IkSolution, Robot
 from icub_core.robot_description import RobotDescription
+from icub_core.scene import Table
 from icub_robots.description import describe
-from icub_robots.kinematics.base import IkRequest, Kinematics
+from icub_robots.gaze import Gaze
+from icub_robots.kinematics.base import IkRequest, Kinematics, restart_postures
 from icub_robots.kinematics.model import PinocchioModel
 from icub_robots.kinematics.pinocchio_kinematics import PinocchioKinematics
+
+if TYPE_CHECKING:
+    from icub_robots.collision import CollisionChecker
 
 FloatArray = NDArray[np.float64]
 KINEMATICS = ("pinocchio", "placo")
@@ -30,6 +37,7 @@ class ICub(Robot):
         kinematics: Inverse kinematics by ``"pinocchio"`` (fast, restarts, batches) or ``"placo"`` (quadratic program).
         torso_pitch_max: Upper limit of torso_pitch in inverse kinematics, rad (thesis 12.3: 0.5).
         restarts: Further starts of a solve that did not reach, when it was allowed more than 10 iterations.
+        cable_limits: Inverse kinematics also keeps the shoulders' cables slack, as the real robot needs; placo only.
     """
 
     def __init__(
@@ -41,11 +49,14 @@ class ICub(Robot):
         kinematics: str = "pinocchio",
         torso_pitch_max: float = 0.5,
         restarts: int = 4,
+        cable_limits: bool = False,
     ) -> None:
         if kinematics not in KINEMATICS:
             raise ConfigError(unknown_name("kinematics library", kinematics, KINEMATICS))
         if restarts < 0:
             raise ConfigError(f"restarts is {restarts}; expected 0 or more")
+        if cable_limits and kinematics != "placo":
+            raise ConfigError(f"cable_limits needs kinematics 'placo', not '{kinematics}'")
         self._description = describe(tuple(hands), limits, coupling, weld)
         self._model = PinocchioModel(self._description)
         lower, upper = self._description.lower.copy(), self._description.upper.copy()
@@ -56,13 +67,14 @@ class ICub(Robot):
                 f"{lower[torso_pitch]:.3f}"
             )
         upper[torso_pitch] = min(upper[torso_pitch], torso_pitch_max)
+        starts = restart_postures(self._description.home_q, lower, upper, restarts)
         self._kinematics: Kinematics
         if kinematics == "placo":
             from icub_robots.kinematics.placo_kinematics import PlacoKinematics
 
-            self._kinematics = PlacoKinematics(self._model, lower, upper)
+            self._kinematics = PlacoKinematics(self._model, lower, upper, starts, cable_limits)
         else:
-            self._kinematics = PinocchioKinematics(self._model, lower, upper, restarts)
+            self._kinematics = PinocchioKinematics(self._model, lower, upper, starts)
 
     @property
     def description(self) -> RobotDescription:
@@ -117,6 +129,26 @@ class ICub(Robot):
         finite = np.all(np.isfinite(targets), axis=(1, 2))
         solved = iter(self._kinematics.solve_batch(targets[finite], q_start, frame, group, request))
         return [next(solved) if good else _unreachable(q_start) for good in finite]
+
+    @cached_property
+    def _gaze(self) -> Gaze:
+        return Gaze(self._model)
+
+    def gaze(self, point: FloatArray, q_start: FloatArray, camera: str = "head_cam") -> GazeSolution:
+        """Turn the neck so that `camera` looks at `point` (3,), within 8.1 degrees; see the interface."""
+        self._check_start(q_start)
+        return self._gaze.solve(point, q_start, camera)
+
+    @cached_property
+    def _collision_checker(self) -> CollisionChecker:
+        from icub_robots.collision import CollisionChecker  # its hulls take a second
+
+        return CollisionChecker(self._model)
+
+    def collisions(self, q: FloatArray, table: Table | None = None, margin: float = 0.0) -> tuple[tuple[str, str], ...]:
+        """Return the pairs that touch at `q` (n,); see the interface. The first call takes about a second."""
+        self._check_start(q)
+        return self._collision_checker.collisions(q, table, margin)
 
     def _check_start(self, q_start: FloatArray) -> None:
         if q_start.shape != self._description.lower.shape or not np.isfinite(q_start).all():

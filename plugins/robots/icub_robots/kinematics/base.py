@@ -33,6 +33,14 @@ class IkRequest:
         return self.max_iterations <= 10
 
 
+def restart_postures(home: FloatArray, lower: FloatArray, upper: FloatArray, count: int) -> FloatArray:
+    """Return (count, n) starts: home, then random postures of the middle of the ranges, the same ones for ever."""
+    unit = np.random.default_rng(0).uniform(0.2, 0.8, (max(count, 1), len(lower)))
+    postures = lower + unit * (upper - lower)
+    postures[0] = home
+    return postures[:count]
+
+
 class Kinematics(ABC):
     """Inverse kinematics by one library. Joint vectors are the description's; world frame; never raises for a pose."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from icub_core.interfaces.robot import IkSolution
 from icub_robots.kinematics.base import FloatArray, IkRequest, Kinematics
 from icub_robots.kinematics.damped_least_squares import ChainIk
@@ -17,17 +15,13 @@ class PinocchioKinematics(Kinematics):
         model: The robot.
         lower: (n,) limits of inverse kinematics, rad.
         upper: (n,) limits of inverse kinematics, rad.
-        restarts: Further starts of a solve that is not tracking and did not reach; the first is the home pose, the
-            others are the same random postures for ever.
+        restarts: (k, n) further starts of a solve that is not tracking and did not reach.
     """
 
-    def __init__(self, model: PinocchioModel, lower: FloatArray, upper: FloatArray, restarts: int) -> None:
+    def __init__(self, model: PinocchioModel, lower: FloatArray, upper: FloatArray, restarts: FloatArray) -> None:
         self._model = model
         self._lower, self._upper = lower, upper
-        unit = np.random.default_rng(0).uniform(0.2, 0.8, (max(restarts, 1), len(lower)))
-        starts = lower + unit * (upper - lower)
-        starts[0] = model.description.home_q
-        self._restarts = starts[:restarts]
+        self._restarts = restarts
         self._chains: dict[tuple[str, str], ChainIk] = {}
 
     def _chain(self, frame: str, group: str) -> ChainIk:
