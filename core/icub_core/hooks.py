@@ -184,7 +184,7 @@ def _explain(listener: object, cause: str) -> str:
     """Name the nearest event or argument for a misspelt one; pluggy's own message for anything else."""
     name = type(listener).__name__
     for attribute in dir(type(listener)):
-        method = getattr(listener, attribute, None)
+        method: Any = getattr(listener, attribute, None)
         if not hasattr(method, f"{PROJECT}_impl"):
             continue
         if attribute not in EVENTS:

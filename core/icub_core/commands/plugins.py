@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from icub_core.errors import ConfigError, PluginError, unknown_name
 from icub_core.kinds import KINDS, get_kind
@@ -27,6 +28,7 @@ def main(arguments: Sequence[str]) -> int:
     checking.add_argument("kind", metavar="KIND")
     checking.add_argument("name", metavar="NAME", nargs="?", help="a plugin; without it --all")
     checking.add_argument("--all", action="store_true", help="every plugin of the kind")
+    checking.add_argument("--set", action="append", default=[], metavar="PARAMETER=VALUE", help="of the constructor")
     options = parser.parse_args(list(arguments))
     if options.action == "list":
         plugins = every_plugin(options.kind)
@@ -37,7 +39,16 @@ def main(arguments: Sequence[str]) -> int:
     names = sorted(available(options.kind)) if options.all or options.name is None else [options.name]
     from icub_core.commands.check import check_plugins
 
-    return check_plugins(options.kind, names)
+    return check_plugins(get_kind(options.kind).name, names, dict(_assignment(word) for word in options.set))
+
+
+def _assignment(word: str) -> tuple[str, Any]:
+    key, equals, value = word.partition("=")
+    if not equals:
+        raise ConfigError(f"'{word}' is not PARAMETER=VALUE")
+    import yaml
+
+    return key, yaml.safe_load(value)
 
 
 def every_plugin(kind: str | None = None) -> list[PluginInfo]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.files import write_text_atomically
-from icub_core.geometry import invert, look_at, make_transform, matrix_to_quat_wxyz, rotation_exp, rotation_log
+from icub_core.geometry import invert, look_at, matrix_to_quat_wxyz, rotation_log
 from icub_core.interfaces.robot import IkSolution, Robot
 from icub_core.robot_description import Actuator, JointDynamics, RobotCamera, RobotDescription
 
@@ -125,6 +125,7 @@ def _actuators() -> tuple[Actuator, ...]:
     return tuple(made)
 
 
+@functools.cache
 def _urdf_file() -> Path:
     """Write the robot's file once a process; loaders need one on disk."""
     path = Path(_folder().name) / "tiny.urdf"
@@ -197,6 +198,13 @@ class TinyRobot(Robot):
             T = T @ _joint_transform(LINKS[i], float(q[i]))
         return T
 
+    def link_poses(self, q: FloatArray) -> dict[str, FloatArray]:
+        """Return T_world_link of every link in one pass."""
+        poses = {"tiny_base": np.eye(4)}
+        for i, link in enumerate(LINKS):  # parents come first
+            poses[link.name] = poses[link.parent] @ _joint_transform(link, float(q[i]))
+        return poses
+
     def jacobian(self, q: FloatArray, frame: str) -> FloatArray:
         """Collect one column a joint of the chain: its axis, and the axis crossed with the arm."""
         J = np.zeros((6, len(LINKS)))
@@ -251,6 +259,13 @@ class TinyRobot(Robot):
 
 
 def _joint_transform(link: _Link, q: float) -> FloatArray:
-    T = make_transform(None, link.offset)
-    axis = np.asarray(link.axis)
-    return T @ (make_transform(None, axis * q) if link.kind == "prismatic" else make_transform(rotation_exp(axis * q)))
+    """Pose of a link in its parent at joint position `q` (Rodrigues' formula)."""
+    T = np.eye(4)
+    T[:3, 3] = link.offset
+    x, y, z = link.axis
+    if link.kind == "prismatic":
+        T[:3, 3] += q * np.array(link.axis)
+    else:
+        K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        T[:3, :3] += np.sin(q) * K + (1 - np.cos(q)) * (K @ K)
+    return T

@@ -105,9 +105,9 @@ class TinySimulator(Simulator):
         self._require_world()
         if self._robot is None:
             return np.zeros(5, dtype=np.bool_)
-        return np.array(
-            [any(self._inside(link, i) for i in range(len(self._poses))) for link in self._robot.fingertips[hand]]
-        )
+        poses = self._kinematics.link_poses(self._q)
+        tips = [poses[link][:3, 3] for link in self._robot.fingertips[hand]]
+        return np.array([any(self._holds(i, tip) for i in range(len(self._poses))) for tip in tips])
 
     def link_pose(self, link: str) -> FloatArray:
         """T_world_link."""
@@ -132,7 +132,9 @@ class TinySimulator(Simulator):
     def touching(self, name: str) -> bool:
         """Whether the middle of any link lies in the object."""
         i = self._object(name)
-        return self._robot is not None and any(self._inside(link.name, i) for link in LINKS)
+        if self._robot is None:
+            return False
+        return any(self._holds(i, T[:3, 3]) for T in self._kinematics.link_poses(self._q).values())
 
     def render(
         self,
@@ -147,7 +149,7 @@ class TinySimulator(Simulator):
         """Cast a ray a pixel at the floor, the table and the objects; the robot is not drawn."""
         T_world_camera, fovy = self._camera(camera, look_at)
         K = pinhole(width, height, fovy)
-        columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        columns, rows = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
         rays = np.stack([(columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1], np.ones_like(rows)], axis=-1)
         depth = np.full((height, width), np.inf)
         index = np.full((height, width), -1, dtype=np.int32)
@@ -195,8 +197,9 @@ class TinySimulator(Simulator):
             raise ConfigError(unknown_name("object in this world", name, names))
         return names.index(name)
 
-    def _inside(self, link: str, i: int) -> bool:
-        spot = self._poses[i][:3, :3].T @ (self.link_pose(link)[:3, 3] - self._poses[i][:3, 3])
+    def _holds(self, i: int, point: FloatArray) -> bool:
+        """Whether a point (3,) of the world lies in object `i`."""
+        spot = self._poses[i][:3, :3].T @ (point - self._poses[i][:3, 3])
         return bool(np.all(np.abs(spot) <= np.asarray(self.scene.objects[i].half_extents)))
 
     def _camera(self, camera: str | CameraView, target: FloatArray | None) -> tuple[FloatArray, float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,7 +46,7 @@ class TinyObjects(ObjectSet):
 def draw_frame(
     places: dict[str, tuple[int, int, int]], seed: int = 0, size: tuple[int, int] = (120, 160)
 ) -> tuple[RgbdFrame, tuple[Instance, ...]]:
-    """Draw discs on a grey, noisy ground.
+    """Draw discs on a grey, noisy ground; every call returns fresh arrays.
 
     Args:
         places: Colour to column, row and radius of its disc, pixels; later ones cover earlier ones.
@@ -54,20 +56,29 @@ def draw_frame(
     Returns:
         The frame, at 1 m over a plane with the discs 10 cm nearer, and the visible part of every disc.
     """
+    rgb, depth, owner = (array.copy() for array in _drawn(tuple(places.items()), seed, size))
+    T_world_camera = look_at([0.0, 0.0, 1.0], [0.0, 0.0, 0.0])
+    frame = RgbdFrame(rgb, depth, pinhole(size[1], size[0], 0.8), T_world_camera)
+    masks: dict[str, NDArray[np.bool_]] = {colour: owner == i for i, colour in enumerate(places)}
+    return frame, tuple(Instance.from_mask(colour, mask) for colour, mask in masks.items() if mask.any())
+
+
+@functools.lru_cache(maxsize=64)
+def _drawn(
+    places: tuple[tuple[str, tuple[int, int, int]], ...], seed: int, size: tuple[int, int]
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int64]]:
+    """Return image, depth and the number of the disc that each pixel shows (-1 the ground)."""
     rng = np.random.default_rng(seed)
-    rgb = rng.integers(110, 150, (*size, 3)).astype(np.uint8)
+    rgb = rng.integers(110, 150, (*size, 3), dtype=np.uint8)
     depth = np.ones(size, dtype=np.float32)
-    owner = np.full(size, "", dtype=object)
+    owner = np.full(size, -1)
     rows, columns = np.mgrid[: size[0], : size[1]]
-    for colour, (x, y, radius) in places.items():
+    for i, (colour, (x, y, radius)) in enumerate(places):
         disc = (columns - x) ** 2 + (rows - y) ** 2 <= radius**2
         noise = rng.integers(-10, 10, (int(disc.sum()), 3))
         rgb[disc] = np.clip(np.asarray(COLOURS[colour]) + noise, 0, 255).astype(np.uint8)
-        depth[disc], owner[disc] = 0.9, colour
-    T_world_camera = look_at([0.0, 0.0, 1.0], [0.0, 0.0, 0.0])
-    frame = RgbdFrame(rgb, depth, pinhole(size[1], size[0], 0.8), T_world_camera)
-    masks: dict[str, NDArray[np.bool_]] = {colour: owner == colour for colour in places}
-    return frame, tuple(Instance.from_mask(colour, mask) for colour, mask in masks.items() if mask.any())
+        depth[disc], owner[disc] = 0.9, i
+    return rgb, depth, owner
 
 
 class TinyDataset(Dataset):
