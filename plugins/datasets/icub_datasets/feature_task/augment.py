@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +35,9 @@ def copy_paste(rng: np.random.Generator, target: LabelledImage, source: Labelled
         # only the square around the pasted object is touched: a full frame of floats for each would cost the most
         half = int(np.ceil(scale * np.hypot(w, h) / 2)) + 1
         left, top = int(centre[0]) - half, int(centre[1]) - half
-        turn = cv2.getRotationMatrix2D((x + w / 2, y + h / 2), float(rng.uniform(-25, 25)), float(scale))
+        turn = np.asarray(
+            cv2.getRotationMatrix2D((x + w / 2, y + h / 2), float(rng.uniform(-25, 25)), float(scale)), np.float64
+        )
         turn[:, 2] += (half - (x + w / 2), half - (y + h / 2))
         side = (2 * half, 2 * half)
         moved = cv2.warpAffine(mask * 255, turn, side, flags=cv2.INTER_LINEAR)
@@ -67,7 +71,7 @@ def _zoom(rng: np.random.Generator, frame: LabelledImage) -> LabelledImage:
         # what the reflected border shows is an object without a label: paint it over
         inside = cv2.warpAffine(np.full((height, width), 255, np.uint8), matrix, size, flags=cv2.INTER_NEAREST)
         rgb[inside == 0] = rng.integers(0, 256, size=3)
-    return LabelledImage(rgb, instances, frame.labels)
+    return LabelledImage(np.asarray(rgb, np.uint8), np.asarray(instances, np.uint8), frame.labels)
 
 
 def _light(rng: np.random.Generator, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -81,10 +85,10 @@ def _light(rng: np.random.Generator, rgb: NDArray[np.uint8]) -> NDArray[np.uint8
     if kind < 0.2:
         image = cv2.GaussianBlur(image, (3, 3), float(rng.uniform(0.3, 1.0)))
     elif kind < 0.5:
-        noise = np.empty(image.shape, dtype=np.int16)
-        cv2.randn(noise, 0, float(rng.uniform(1, 8)))
+        noise: Any = np.empty(image.shape, dtype=np.int16)
+        cv2.randn(noise, 0, float(rng.uniform(1, 8)))  # type: ignore[call-overload]
         image = cv2.add(image, noise, dtype=cv2.CV_8U)
-    return image
+    return np.asarray(image, np.uint8)
 
 
 def augment(rng: np.random.Generator, frame: LabelledImage, other: LabelledImage) -> LabelledImage:

@@ -174,5 +174,8 @@ class FeatureTaskFrames:
     def __getitem__(self, index: int) -> LabelledImage:
         """Decode one frame."""
         jpeg, png, labels = self._records[index]
-        rgb = np.ascontiguousarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR)[..., ::-1])
-        return LabelledImage(rgb, cv2.imdecode(png, cv2.IMREAD_GRAYSCALE), labels)
+        rgb = cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
+        instances = cv2.imdecode(png, cv2.IMREAD_GRAYSCALE)
+        if rgb is None or instances is None:
+            raise DataError(f"frame {index} of the FEATURE-TASK cannot be decoded; delete its shard and render again")
+        return LabelledImage(np.ascontiguousarray(rgb[..., ::-1], np.uint8), np.asarray(instances, np.uint8), labels)

@@ -58,7 +58,7 @@ def _blobs(rng: np.random.Generator, size: int) -> NDArray[np.float32]:
         axes = tuple(int(v) for v in rng.integers(size // 32 + 1, size // 6, size=2))
         centre = tuple(int(v) for v in rng.integers(0, size, size=2))
         cv2.ellipse(image, centre, axes, float(rng.uniform(0, 180)), 0, 360, 255, -1, cv2.LINE_AA)
-    return image.astype(np.float32) / 255
+    return np.asarray(image, np.float32) / np.float32(255)
 
 
 def _write_text(rng: np.random.Generator, face: NDArray[np.uint8], lines: int) -> None:
@@ -102,7 +102,7 @@ def product_texture(rng: np.random.Generator, size: int = 128) -> NDArray[np.uin
     """
     palette = np.stack([_colour(rng) for _ in range(4)])
     style = rng.choice(["plain", "noise", "stripes", "checks", "blobs", "label"], p=[0.1, 0.12, 0.14, 0.1, 0.14, 0.4])
-    faces = []
+    faces: list[NDArray[np.uint8]] = []
     twin = rng.random() < 0.5  # opposite faces of a package often look alike
     for index in range(CUBE_FACES):
         if twin and index % 2 == 1 and style == "label":

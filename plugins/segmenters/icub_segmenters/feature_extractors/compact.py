@@ -58,7 +58,7 @@ class CompactRegions(RegionNetwork):
             image_size: Height and width of the area into which images are scaled.
             mask_size: 28 as trained, or 14 (the average of 2 x 2 pixels).
         """
-        self._network = _folded(network.eval().requires_grad_(False))
+        self._network = fold_batch_norm(network.eval().requires_grad_(False))
         self._center, self._scale = center, scale
         self._image_size = image_size
         self.mask_size = mask_size
@@ -130,20 +130,15 @@ class CompactRegions(RegionNetwork):
         return RpnCells(torch.cat(features), anchors.view(-1, per_cell, 4), torch.cat(types))
 
 
-def _folded(network: nn.Module) -> CompactNetwork:
-    """Replace every convolution followed by batch normalisation by one convolution."""
-    for name, child in network.named_children():
-        if isinstance(child, nn.Sequential) and len(child) == 2 and isinstance(child[1], nn.BatchNorm2d):
-            setattr(network, name, fuse_conv_bn_eval(child[0], child[1]))
-        elif isinstance(child, nn.Sequential):
-            for index, part in enumerate(child):
-                if isinstance(part, nn.Sequential) and len(part) == 2 and isinstance(part[1], nn.BatchNorm2d):
-                    child[index] = fuse_conv_bn_eval(part[0], part[1])
-                else:
-                    _folded(part)
-        else:
-            _folded(child)
-    return network  # type: ignore[return-value]
+def fold_batch_norm(network: CompactNetwork) -> CompactNetwork:
+    """Replace every convolution followed by batch normalisation by one convolution, in place."""
+    for parent in list(network.modules()):
+        for name, child in list(parent.named_children()):
+            if isinstance(child, nn.Sequential) and len(child) == 2:
+                conv, norm = child
+                if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+                    setattr(parent, name, fuse_conv_bn_eval(conv, norm))
+    return network
 
 
 def load_compact(path: Path) -> tuple[CompactNetwork, torch.Tensor, torch.Tensor]:

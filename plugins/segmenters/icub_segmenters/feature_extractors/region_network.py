@@ -119,7 +119,7 @@ class RegionExtractor(FeatureExtractor):
         h, w = self._network.working_size(height, width)
         if (h, w) != (height, width):
             mode = cv2.INTER_AREA if h < height else cv2.INTER_LINEAR
-            rgb = cv2.resize(np.ascontiguousarray(rgb), (w, h), interpolation=mode)
+            rgb = np.asarray(cv2.resize(np.ascontiguousarray(rgb), (w, h), interpolation=mode), np.uint8)
         image = torch.from_numpy(np.ascontiguousarray(rgb)).permute(2, 0, 1).float()
         content, boxes, scores = self._network.run(image)
         factors = torch.tensor([w / width, h / height] * 2)

@@ -132,7 +132,7 @@ class _Trainer:
     def __init__(self, state: TrainingState) -> None:
         torch.manual_seed(state.seed)
         self.state = state
-        self.network = CompactNetwork(state.label_count).to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
+        self.network = CompactNetwork(state.label_count).to(memory_format=torch.channels_last).train()
         self.average: nn.Module = copy.deepcopy(self.network).eval().requires_grad_(False)
         self.parameters = dict(self.network.named_parameters())
         self.optimiser = torch.optim.AdamW(
@@ -403,7 +403,7 @@ def train_compact(
         Path of the weights.
     """
     begun = time.monotonic()
-    dataset = load("dataset", "feature_task")
+    dataset: Any = load("dataset", "feature_task")
     frames: Any = dataset(path=data, split="train", seed=seed)
     unseen: Any = dataset(path=data, split="validation", seed=seed)
     for part in (frames, unseen):
