@@ -88,4 +88,7 @@ def _say(line: str, code: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # run as a script this module exists twice; the commands raise the exceptions of the imported one
+    from icub_core.cli import main as imported_main
+
+    sys.exit(imported_main())
