@@ -148,7 +148,7 @@ def check_targets(make: Make) -> None:
         simulator.step(400)
         expect_close(simulator.robot_state().actuator_positions, targets, TRACKING_ERROR, "lengths and targets")
         simulator.set_targets(np.full(len(start), -100.0))
-        simulator.step(50)
+        simulator.step(300)  # on the way there, one joint's swing carries another a little beyond its limit
         lowest = (simulator.robot_state().actuator_positions - ranges[:, 0]).min()
         expect(lowest > -TRACKING_ERROR, "targets clipped to the ranges", f"{lowest:.3f} below a range")
 

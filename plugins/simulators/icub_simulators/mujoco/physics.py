@@ -26,16 +26,11 @@ logger = logging.getLogger(__name__)
 mujoco.set_mju_user_warning(lambda text: logger.debug("mujoco: %s", text))
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-_NAN_WARNINGS = [
-    int(w)
-    for w in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-        mujoco.mjtWarning.mjWARN_BADCTRL,
-    )
-]
-_FULL_WARNINGS = [int(w) for w in (mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL)]
+_WARNING = mujoco.mjtWarning
+_RESET_WARNINGS = [int(w) for w in (_WARNING.mjWARN_BADQPOS, _WARNING.mjWARN_BADQVEL, _WARNING.mjWARN_BADQACC)]
+"""After each of these the engine resets the world by itself."""
+_CONTROL_WARNING = int(_WARNING.mjWARN_BADCTRL)
+_FULL_WARNINGS = [int(w) for w in (_WARNING.mjWARN_CONTACTFULL, _WARNING.mjWARN_CNSTRFULL)]
 _OBJECT, _OTHER = 10, 30  # fingers are 0..4: finger + object 10..14, two objects 20, anything else 30 and more
 
 
@@ -255,7 +250,9 @@ class Physics:
         """Return what went wrong since the last reset or restore."""
         warnings = self.data.warning.number
         if warnings.any():
-            if warnings[_NAN_WARNINGS].any():
+            if warnings[_RESET_WARNINGS].any():
+                self._seen.update((Fault.HIDDEN_RESET, Fault.NOT_A_NUMBER))
+            if warnings[_CONTROL_WARNING]:
                 self._seen.add(Fault.NOT_A_NUMBER)
             if warnings[_FULL_WARNINGS].any():
                 self._seen.add(Fault.DROPPED_CONTACTS)
