@@ -43,6 +43,8 @@ OURS, OUTPUT_LAYERS, O_OS = "falkon", "output_layers", "o_os"
 TASKS = {"tabletop": "rendered_tabletop", "handheld": "rendered_handheld"}
 PARTS = ("rpn", "detection", "masks")
 MAIN_TASK = "tabletop"
+TABLE_WIDTH = 170
+"""Columns when the output is a file or a pipe."""
 RESULTS = Path(__file__).resolve().parent / "results" / "segmentation.json"
 
 
@@ -222,7 +224,8 @@ def _comparisons(trials: Trials) -> dict[str, Figure]:
 
 
 def _print_tables(trials: Trials) -> None:
-    console = Console()
+    terminal = Console()
+    console = terminal if terminal.is_terminal else Console(width=TABLE_WIDTH)
     for task in dict.fromkeys(task for task, _ in trials):
         table = Table(title=f"{task}: mAP in percent, times in seconds")
         for heading in ("method", *MEAN_NAMES, "features", *PARTS, "after last frame", "a frame"):
