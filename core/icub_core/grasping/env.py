@@ -133,6 +133,26 @@ class GraspEnv(EnvBase):
             entries[name] = torch.from_numpy(flag[:, None])
         return TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
 
+    def save(self) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+        """Return everything that decides the future, as arrays and texts: worlds, partial episodes, starts, random numbers."""
+        arrays: dict[str, np.ndarray] = {f"batch.{k}": v for k, v in self.batch.state().items()}
+        texts = {}
+        for world, pool in enumerate(self.pools):
+            kept, text = pool.state()
+            arrays.update({f"pool.{world}.{k}": v for k, v in kept.items()})
+            texts[f"pool.{world}"] = text
+        if self._visual is not None:
+            arrays["visual"] = self._visual.state().numpy()
+        return arrays, texts
+
+    def restore(self, arrays: dict[str, np.ndarray], texts: dict[str, str]) -> None:
+        """Take back what `save` returned, in an environment of the same tasks."""
+        self.batch.restore(_part(arrays, "batch."))
+        for world, pool in enumerate(self.pools):
+            pool.restore(_part(arrays, f"pool.{world}."), texts[f"pool.{world}"])
+        if self._visual is not None:
+            self._visual.restore(torch.from_numpy(arrays["visual"]))
+
     def _picture(self, world: int) -> np.ndarray:
         task = self.batch.tasks[world]
         return task.look(self.batch.object_name(world)).frame.rgb
@@ -141,3 +161,7 @@ class GraspEnv(EnvBase):
         """Free every simulator."""
         self.batch.close()
         super().close(raise_if_closed=raise_if_closed)
+
+
+def _part(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    return {key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)}

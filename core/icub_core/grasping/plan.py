@@ -21,6 +21,8 @@ MaskProvider = Callable[[RgbdFrame, str], "NDArray[np.bool_] | None"]
 FAR = 0.10
 NEAR = 0.05
 """Metres before the grasp pose, on the line from object centre to hand (thesis 12.3.1)."""
+LIFT = 0.11
+"""Metres above the grasp that the hand must also reach, or the task could not be completed."""
 
 
 class PlanFailure(Enum):
@@ -28,7 +30,7 @@ class PlanFailure(Enum):
 
     NOT_SEEN = "the camera does not see the object"
     NO_GRASP = "the grasp generator proposes nothing"
-    UNREACHABLE = "inverse kinematics reaches none of the proposed pre-grasp poses"
+    UNREACHABLE = "inverse kinematics reaches no proposed grasp both 10 cm before it and lifted"
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +62,10 @@ def plan_grasp(
     table: Table | None,
     hand: str = "right",
 ) -> GraspPlan | PlanFailure:
-    """Plan from one picture: masked cloud, proposals, the first whose 10 cm pose inverse kinematics reaches."""
+    """Plan from one picture: masked cloud, proposals, the first that inverse kinematics reaches.
+
+    Generators promise the grasp and its pre-grasp poses; the lifted pose is the task's affair and is tested here.
+    """
     if mask is None or not mask.any():
         return PlanFailure.NOT_SEEN
     proposals = generator.propose(frame.to_cloud(mask), robot, table, hand)
@@ -70,6 +75,10 @@ def plan_grasp(
     for grasp in proposals.grasps:
         T_far, T_near = grasp.backed_off(FAR), grasp.backed_off(NEAR)
         solution = robot.inverse_kinematics(T_far, q_start, hand_frame, group=f"{hand}_reach")
-        if solution.reached:
+        if not solution.reached:
+            continue
+        T_lifted = grasp.T_world_hand.copy()
+        T_lifted[2, 3] += LIFT
+        if robot.inverse_kinematics(T_lifted, solution.q, hand_frame, group=f"{hand}_reach").reached:
             return GraspPlan(object_name, grasp, T_far, T_near, solution.q)
     return PlanFailure.UNREACHABLE

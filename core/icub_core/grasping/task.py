@@ -34,7 +34,7 @@ MOST_REDRAWS = 100
 """Object poses without a plan in a row after which the object counts as not graspable."""
 
 ARM_SPEED, ARM_ACCELERATION = 3.0, 120.0
-"""rad/s and rad/s^2 of every joint but the fingers': the transfer's peak speed, and one full reversal of a hand step."""
+"""rad/s and rad/s^2 of every joint but the fingers': peak of the transfer, one full reversal of a hand step."""
 WORKSPACE = np.array([[-0.65, -0.45, 0.93], [0.0, 0.55, 1.60]])
 """Lowest and highest hand position, world, metres: in front of the robot, above the table."""
 

@@ -60,3 +60,11 @@ class VisualStack:
     def stacked(self) -> torch.Tensor:
         """Return the stacked features (N, 5 F)."""
         return flare(self._features)
+
+    def state(self) -> torch.Tensor:
+        """Return a copy of the history."""
+        return self._features.clone()
+
+    def restore(self, features: torch.Tensor) -> None:
+        """Take back what `state` returned."""
+        self._features.copy_(features)

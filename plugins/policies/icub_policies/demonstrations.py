@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import torch
+from tensordict import TensorDictBase
+
 from icub_core.errors import ConfigError
 from icub_core.grasping.spaces import (
     ACTION_SIZE,
@@ -17,7 +19,6 @@ from icub_core.grasping.spaces import (
     TRANSLATION_STEP,
 )
 from icub_core.interfaces.policy import Policy
-from tensordict import TensorDictBase
 
 
 class Demonstrations(Policy):

@@ -8,8 +8,9 @@ usual range. The thesis's networks take the raw entries.
 from __future__ import annotations
 
 import torch
-from icub_core.grasping.spaces import FINGERS, HAND_POSE, OBJECT_CENTER, TOUCH, VISUAL
 from tensordict import TensorDictBase
+
+from icub_core.grasping.spaces import FINGERS, HAND_POSE, OBJECT_CENTER, TOUCH, VISUAL
 
 WORKSPACE_CENTER = (-0.35, 0.0, 1.0)
 """Middle of the area in which objects stand, world, metres."""

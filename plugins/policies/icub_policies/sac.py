@@ -8,15 +8,17 @@ scaled so that values stay near 10, a lower target entropy. Sources: Haarnoja et
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 
+from icub_policies.checkpoint import adam_state, load_adam_state, load_into
 from icub_policies.networks import Actor, Critics
 from icub_policies.replay import Batch
 
-ActorInput = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+LOG_STD = -2.7
+"""Start of the actor's log standard deviation: wider noise (0.14 and more) makes most scripted-quality grasps fail."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class SacSettings:
     learning_rate: float = 3e-4
     batch: int = 256
     target_entropy: float = -22.5
-    alpha: float = 0.05
+    alpha: float = 0.01
     actor_every: int = 2
     reward_scale: float = 0.05
     hidden: int = 256
@@ -65,7 +67,7 @@ class Sac:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             inputs = states + actions if residual else states
-            self.actor = Actor(inputs, actions, settings.hidden, log_std=-2.0 if residual else -1.0, zero_mean=residual)
+            self.actor = Actor(inputs, actions, settings.hidden, log_std=LOG_STD, zero_mean=residual)
             self.critics = Critics(states, actions, settings.hidden)
         self.targets = copy.deepcopy(self.critics).requires_grad_(False)
         self.log_alpha = torch.tensor(settings.alpha).log().requires_grad_()
@@ -114,22 +116,80 @@ class Sac:
         """-log alpha (log pi + target entropy), averaged."""
         return -(self.log_alpha * (log_prob + self.settings.target_entropy)).mean()
 
-    def update(self, batch: Batch, train_actor: bool = True) -> None:
-        """Do one step of the critics and, every few, one of actor and entropy coefficient."""
+    def imitation_loss(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        """Mean squared distance of the most likely action from a demonstrated one."""
+        return (self.actor.best(state) - action).square().sum(1).mean()
+
+    def imitate(self, batch: Batch) -> None:
+        """Do one step of the actor towards demonstrated actions alone."""
+        self.actor_optimiser.zero_grad(set_to_none=True)
+        self.imitation_loss(batch.state, batch.action).backward()
+        self.actor_optimiser.step()
+
+    def update(self, batch: Batch, shown: int = 0, imitation: float = 0.0, actor: bool = True) -> None:
+        """Do one step of the critics and, every few, one of actor and entropy coefficient.
+
+        Args:
+            batch: Transitions; the first `shown` are demonstrations.
+            shown: How many of them the actor also imitates.
+            imitation: Weight of that, relative to the size of the values.
+            actor: Whether the actor may learn at all.
+        """
         self.critic_optimiser.zero_grad(set_to_none=True)
         self.critic_loss(batch, self.noise(len(batch.reward))).backward()
         self.critic_optimiser.step()
         with torch.no_grad():
             torch._foreach_lerp_(list(self.targets.parameters()), list(self.critics.parameters()), self.settings.tau)
         self.updates += 1
-        if not train_actor or self.updates % self.settings.actor_every:
+        if not actor or self.updates % self.settings.actor_every:
             return
         self.critics.requires_grad_(False)
         self.actor_optimiser.zero_grad(set_to_none=True)
         loss, log_prob = self.actor_loss(batch, self.noise(len(batch.reward)))
+        if shown and imitation:
+            size = loss.detach().abs().clamp_min(1.0)
+            loss = loss + imitation * size * self.imitation_loss(batch.state[:shown], batch.action[:shown])
         loss.backward()
         self.actor_optimiser.step()
         self.critics.requires_grad_(True)
         self.alpha_optimiser.zero_grad(set_to_none=True)
         self.alpha_loss(log_prob).backward()
         self.alpha_optimiser.step()
+
+    def weights(self) -> dict[str, torch.Tensor]:
+        """Return the weights of actor, critics and target critics."""
+        nets = {"actor.": self.actor, "critics.": self.critics, "targets.": self.targets}
+        return {prefix + name: value for prefix, net in nets.items() for name, value in net.state_dict().items()}
+
+    def load_weights(self, tensors: dict[str, torch.Tensor], path: Path) -> None:
+        """Take back what `weights` returned; WeightsError names the first tensor that does not fit."""
+        load_into(self.actor, tensors, "actor.", path)
+        self.load_critics(tensors, path)
+
+    def load_critics(self, tensors: dict[str, torch.Tensor], path: Path) -> None:
+        """Take the critics and target critics alone."""
+        load_into(self.critics, tensors, "critics.", path)
+        load_into(self.targets, tensors, "targets.", path)
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Return everything that decides later updates."""
+        return {
+            **self.weights(),
+            **adam_state(self.actor_optimiser, "adam.actor."),
+            **adam_state(self.critic_optimiser, "adam.critics."),
+            **adam_state(self.alpha_optimiser, "adam.alpha."),
+            "log_alpha": self.log_alpha.detach(),
+            "generator": self.generator.get_state(),
+            "updates": torch.tensor(self.updates),
+        }
+
+    def restore(self, tensors: dict[str, torch.Tensor], path: Path) -> None:
+        """Take back what `state` returned."""
+        self.load_weights(tensors, path)
+        load_adam_state(self.actor_optimiser, tensors, "adam.actor.")
+        load_adam_state(self.critic_optimiser, tensors, "adam.critics.")
+        load_adam_state(self.alpha_optimiser, tensors, "adam.alpha.")
+        with torch.no_grad():
+            self.log_alpha.copy_(tensors["log_alpha"])
+        self.generator.set_state(tensors["generator"])
+        self.updates = int(tensors["updates"])

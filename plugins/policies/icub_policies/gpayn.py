@@ -1,0 +1,116 @@
+"""G-PAYN: soft actor-critic that starts from demonstrations (thesis 12.3.2)."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import torch
+from tensordict import TensorDictBase
+
+from icub_core.errors import ConfigError
+from icub_core.grasping.env import GraspEnv
+from icub_core.grasping.spaces import ACTION_SIZE
+from icub_core.interfaces.policy import LearnReport, Policy, Progress
+from icub_policies.checkpoint import read_tensors, write_tensors
+from icub_policies.demonstrations import Demonstrations
+from icub_policies.features import PROPRIOCEPTIVE_SIZE, features
+from icub_policies.replay import Replay
+from icub_policies.sac import Sac, SacSettings
+from icub_policies.training import Trainer, TrainingSettings, demonstrate
+
+SHIPPED = ("base_gpayn",)
+REPLAY_STEPS = 1_000_000
+DEMONSTRATION_STEPS = 300_000
+"""Most control steps of all worlds together that are kept."""
+IMITATION_UPDATES = 4_000
+WARM_UP_UPDATES = 2_000
+CRITIC_UPDATES = 1_000
+IMITATION = 2.0
+
+
+def weights_path(weights: str) -> Path:
+    """Return the file of shipped weights by name, or of the user's by path."""
+    if weights in SHIPPED:
+        return Path(str(resources.files("icub_policies") / "weights" / f"{weights}.safetensors"))
+    path = Path(weights)
+    if not path.is_file():
+        raise ConfigError(f"weights '{weights}': neither a file nor one of the shipped {list(SHIPPED)}")
+    return path
+
+
+class Gpayn(Policy):
+    """SAC whose memory holds demonstrations from the start.
+
+    DIFF to the thesis: the demonstrations are kept for ever at a fixed share of every batch instead of leaving a
+    first-in-first-out memory; see `sac` for what else short budgets need.
+
+    Args:
+        weights: Shipped weights by name (``"base_gpayn"``) or a file to start from; None starts at random.
+        seconds: Wall-clock budget of `learn`.
+        env_steps: Budget in control steps; the first budget that is spent ends learning.
+        demonstrations: Scripted episodes at the start.
+        updates_per_step: Critic updates for each control step of one world.
+        hidden: Units of each of the two layers.
+        seed: Of weights and sampling.
+    """
+
+    def __init__(
+        self,
+        weights: str | None = None,
+        seconds: float | None = 120.0,
+        env_steps: int | None = None,
+        demonstrations: int = 100,
+        updates_per_step: float = 0.25,
+        hidden: int = 256,
+        seed: int = 0,
+    ) -> None:
+        self.settings = TrainingSettings(
+            seconds=seconds,
+            env_steps=env_steps,
+            updates_per_step=updates_per_step,
+            imitation_updates=IMITATION_UPDATES,
+            warm_up_updates=WARM_UP_UPDATES,
+            critic_updates=WARM_UP_UPDATES + CRITIC_UPDATES,
+            imitation=IMITATION,
+        )
+        self.exports: Path | None = None
+        self._episodes = demonstrations
+        self.sac = Sac(PROPRIOCEPTIVE_SIZE, ACTION_SIZE, SacSettings(hidden=hidden), seed=seed)
+        if weights is not None:
+            self.load(weights_path(weights))
+
+    def act(self, observation: TensorDictBase) -> torch.Tensor:
+        """Return the most likely actions (B, 15)."""
+        with torch.no_grad():
+            return self.sac.actor.best(features(observation))
+
+    def learn(self, env: GraspEnv, run_dir: Path, progress: Progress) -> LearnReport:
+        """Collect demonstrations, then learn; an interrupted run in the same folder continues."""
+        worlds = len(env.batch)
+        sizes = (PROPRIOCEPTIVE_SIZE, ACTION_SIZE)
+        shown = Replay(DEMONSTRATION_STEPS // worlds, worlds, *sizes)
+        replay = Replay(REPLAY_STEPS // worlds, worlds, *sizes)
+        trainer = Trainer(
+            env, self.sac, replay, self, self.settings, run_dir, exports=self.exports, demonstrations=shown, progress=progress
+        )  # fmt: skip
+        if not trainer.resume():
+            demonstrate(env, Demonstrations(), shown, self._episodes, progress)
+        return trainer.run()
+
+    @classmethod
+    def train(
+        cls, run_dir: Path, seed: int, minutes: float = 45.0, progress: Progress = lambda share, text: None
+    ) -> None:
+        """Make the shipped base policy (``icub train policy=gpayn``): see `pretraining`."""
+        from icub_policies.pretraining import pretrain
+
+        pretrain(run_dir, seed, minutes, progress)
+
+    def save(self, path: Path) -> None:
+        """Write actor and critics."""
+        write_tensors(path, self.sac.weights(), {"policy": "gpayn"})
+
+    def load(self, path: Path) -> None:
+        """Read what `save` wrote."""
+        self.sac.load_weights(read_tensors(path)[0], path)

@@ -1,0 +1,390 @@
+"""The loop of every learning policy: act, store, update, evaluate now and then, keep the best, checkpoint."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+
+from icub_core.errors import CheckpointError
+from icub_core.grasping.env import GraspEnv
+from icub_core.grasping.evaluation import run_episodes
+from icub_core.grasping.pool import StartPool
+from icub_core.grasping.task import StartState
+from icub_core.interfaces.policy import LearnReport, Policy, Progress
+from icub_policies.checkpoint import read_tensors, write_tensors
+from icub_policies.features import features
+from icub_policies.replay import CUT, RUNNING, TERMINAL, Batch, Replay, concatenate
+from icub_policies.sac import Sac
+
+log = logging.getLogger(__name__)
+
+CHECKPOINT = "training.safetensors"
+RECENT_EPISODES = 100
+IMITATION_LEARNING_RATE = 1e-3
+EVALUATION_SEED = 987_654_321
+"""Of the starts on which the best weights are chosen; test seeds are the caller's and differ."""
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """Numbers of the loop.
+
+    Attributes:
+        seconds: Wall-clock budget, or None.
+        env_steps: Budget in control steps of all worlds together, or None.
+        updates_per_step: Critic updates for each control step of one world.
+        imitation_updates: Updates at the very start that let the actor imitate the demonstrations.
+        warm_up_updates: Updates of the critics that follow, on demonstrations alone.
+        imitation: Weight of imitation in the actor's loss at first; falls linearly to 0.
+        imitation_until: Share of the budget after which nothing is imitated.
+        critic_updates: Updates after which the actor begins to learn (residuals: critics first know the object).
+        warm_up_steps: Control steps collected before the first update.
+        demonstration_share: Share of every batch drawn from the demonstrations.
+        evaluate_every: Control steps between two evaluations.
+        evaluation_episodes: Episodes of an evaluation.
+        checkpoint_every: Seconds between two checkpoints.
+    """
+
+    seconds: float | None = None
+    env_steps: int | None = None
+    updates_per_step: float = 0.25
+    imitation_updates: int = 0
+    warm_up_updates: int = 0
+    imitation: float = 0.0
+    imitation_until: float = 0.5
+    critic_updates: int = 0
+    warm_up_steps: int = 0
+    demonstration_share: float = 0.5
+    evaluate_every: int = 40_000
+    evaluation_episodes: int = 32
+    checkpoint_every: float = 60.0
+
+
+@dataclass
+class _Count:
+    env_steps: int = 0
+    updates_owed: float = 0.0
+    episodes: int = 0
+    seconds: float = 0.0
+    next_evaluation: int = 0
+    best_success: float = -1.0
+    best_return: float = -np.inf
+    first_success: float = -1.0
+    recent: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT_EPISODES))
+
+
+class Trainer:
+    """Trains a `Sac` in a `GraspEnv`.
+
+    Args:
+        env: Worlds to learn in.
+        sac: Learner.
+        replay: Memory of what the learner did.
+        policy: Acts deterministically with the learner's present weights; evaluated now and then.
+        settings: Numbers.
+        run_dir: Where the checkpoint lies; an unfinished one there is continued.
+        exports: Where the policy is saved whenever an evaluation is the best so far.
+        demonstrations: Kept for ever beside the replay, or None.
+        base: Frozen policy's action (N, a) of network inputs (N, d), for residuals.
+        progress: Told what share is done.
+    """
+
+    def __init__(
+        self,
+        env: GraspEnv,
+        sac: Sac,
+        replay: Replay,
+        policy: Policy,
+        settings: TrainingSettings,
+        run_dir: Path,
+        *,
+        exports: Path | None = None,
+        demonstrations: Replay | None = None,
+        base: Callable[[torch.Tensor], torch.Tensor] | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        self._env, self._sac, self._replay, self._policy = env, sac, replay, policy
+        self._settings, self._path = settings, run_dir / CHECKPOINT
+        self._exports, self._demonstrations, self._base = exports, demonstrations, base
+        self._progress = progress or (lambda share, text: None)
+        self._count = _Count()
+        self._best = {name: value.clone() for name, value in sac.weights().items()}
+        self._generator = torch.Generator().manual_seed(sac.generator.initial_seed() + 1)
+        self._evaluation_starts: list[list[StartState]] = []
+        self._resumed = False
+        self._shown = 0 if demonstrations is None else round(settings.demonstration_share * sac.settings.batch)
+
+    def run(self) -> LearnReport:
+        """Train until the budget is spent, then leave the best evaluated weights in the learner."""
+        begun, spent = time.monotonic(), self._count.seconds
+        before = torch.get_float32_matmul_precision()
+        torch.set_float32_matmul_precision("medium")  # oneDNN instead of MKL: faster on many CPUs, the same error there
+        try:
+            self._plan_evaluation()
+            observation = self._env.observe() if self._resumed else self._env.reset()
+            if not self._resumed:
+                self._warm_up()
+            saved = time.monotonic()
+            while not self._finished():
+                if self._count.env_steps >= self._count.next_evaluation:
+                    self._evaluate()
+                observation = self._step(observation)
+                self._update()
+                self._count.seconds = spent + time.monotonic() - begun
+                if time.monotonic() - saved > self._settings.checkpoint_every:
+                    self._save()
+                    saved = time.monotonic()
+                self._tell()
+            self._evaluate()
+        except KeyboardInterrupt:
+            self._save()
+            log.info("interrupted; the same command with the same run folder continues from %s", self._path)
+            raise
+        finally:
+            torch.set_float32_matmul_precision(before)
+        self._sac.load_weights(self._best, self._path)
+        self._save(finished=True)
+        count = self._count
+        count.seconds = spent + time.monotonic() - begun
+        return LearnReport(
+            seconds=count.seconds,
+            env_steps=count.env_steps,
+            updates=self._sac.updates,
+            episodes=count.episodes,
+            metrics={"best_success": count.best_success, "first_success": count.first_success, **self._fault_share()},
+        )
+
+    def _fault_share(self) -> dict[str, float]:
+        ends = self._env.batch.firewall.report()
+        ordinary = sum(ends.get(name, 0) for name in ("success", "moved", "time_limit"))
+        return {"faults": float(sum(ends.values()) - ordinary)}
+
+    def _finished(self) -> bool:
+        settings, count = self._settings, self._count
+        return (settings.seconds is not None and count.seconds >= settings.seconds) or (
+            settings.env_steps is not None and count.env_steps >= settings.env_steps
+        )
+
+    def _share(self) -> float:
+        settings, count = self._settings, self._count
+        shares = [0.0]
+        if settings.seconds:
+            shares.append(count.seconds / settings.seconds)
+        if settings.env_steps:
+            shares.append(count.env_steps / settings.env_steps)
+        return min(max(shares), 1.0)
+
+    def _step(self, observation: TensorDictBase) -> TensorDictBase:
+        """Act once in every world, store what may be stored, begin new episodes."""
+        sac, env, count = self._sac, self._env, self._count
+        state = features(observation)
+        base = self._base(state) if self._base is not None else state[:, :0]
+        learned = sac.explore(state, base)
+        observation["action"] = sac.total(learned, base)
+        after = env.advance(observation)
+        self._replay.add(state, learned, after["reward"][:, 0], end_codes(after), base)
+        done = after["done"][:, 0]
+        if done.any():
+            for world in torch.nonzero(done)[:, 0].tolist():
+                count.recent.append(bool(after["success"][world]))
+                count.episodes += 1
+                env.begin(world, env.pools[world].draw())
+            after = env.observe()
+        count.env_steps += len(state)
+        count.updates_owed += self._settings.updates_per_step * len(state)
+        return after
+
+    def _update(self) -> None:
+        count = self._count
+        if count.env_steps < self._settings.warm_up_steps or not self._replay.ready(self._sac.settings.steps):
+            count.updates_owed = 0.0
+            return
+        settings = self._settings
+        imitation = settings.imitation * max(0.0, 1.0 - self._share() / settings.imitation_until)
+        while count.updates_owed >= 1:
+            actor = self._sac.updates >= settings.critic_updates
+            self._sac.update(self._batch(self._shown), self._shown, imitation, actor)
+            count.updates_owed -= 1
+
+    def _batch(self, shown: int) -> Batch:
+        """Draw a batch whose first `shown` transitions are demonstrations."""
+        settings = self._sac.settings
+        parts = []
+        if shown and self._demonstrations is not None:
+            parts.append(self._demonstrations.sample(shown, settings.steps, settings.gamma, self._generator))
+        if shown < settings.batch:
+            count = settings.batch - shown
+            parts.append(self._replay.sample(count, settings.steps, settings.gamma, self._generator))
+        return concatenate(parts)
+
+    def _warm_up(self) -> None:
+        """Imitate the demonstrations, then let the critics judge what came of it, before anything is tried."""
+        settings = self._settings
+        if self._demonstrations is None:
+            return
+        size = self._sac.settings.batch
+        with learning_rate(self._sac.actor_optimiser, IMITATION_LEARNING_RATE):
+            for done in range(settings.imitation_updates):
+                self._sac.imitate(self._batch(size))
+                if done % 100 == 0:
+                    self._progress(0.0, f"imitates the demonstrations, {done} of {settings.imitation_updates}")
+        for done in range(settings.warm_up_updates):
+            self._sac.update(self._batch(size), actor=False)
+            if done % 100 == 0:
+                self._progress(0.0, f"judges the demonstrations, {done} of {settings.warm_up_updates}")
+
+    def _plan_evaluation(self) -> None:
+        """Plan the starts of the training-time evaluations, once."""
+        worlds = len(self._env.batch)
+        each = -(-self._settings.evaluation_episodes // worlds)
+        for world, task in enumerate(self._env.batch.tasks):
+            pool = StartPool(task, each, seed=EVALUATION_SEED + world)
+            pool.fill(each)
+            self._evaluation_starts.append(pool.starts)
+
+    def _evaluate(self) -> None:
+        count = self._count
+        count.next_evaluation = count.env_steps + self._settings.evaluate_every
+        kept = self._env.batch.state()
+        ends = self._env.batch.firewall.ends.copy()
+        worlds = len(self._env.batch)
+        results = run_episodes(
+            self._policy,
+            self._env,
+            self._settings.evaluation_episodes,
+            lambda world, episode: self._evaluation_starts[world][episode // worlds],
+        )
+        self._env.batch.restore(kept)
+        self._env.batch.firewall.ends = ends
+        score, mean_return = results.success_rate, float(results.returns.mean())
+        log.info(
+            "%d env steps, %d updates, %.0f s: evaluated %.3f (return %.1f, %.0f steps), exploring %.3f, alpha %.4f",
+            count.env_steps, self._sac.updates, count.seconds, score, mean_return, results.steps.mean(),
+            np.mean(count.recent) if count.recent else float("nan"), self._sac.log_alpha.exp(),
+        )  # fmt: skip
+        if count.first_success < 0:
+            count.first_success = score
+        if (score, mean_return) > (count.best_success, count.best_return):
+            count.best_success, count.best_return = score, mean_return
+            self._best = {name: value.clone() for name, value in self._sac.weights().items()}
+            if self._exports is not None:
+                self._policy.save(self._exports)
+
+    def _tell(self) -> None:
+        count = self._count
+        grasped = f"{np.mean(count.recent):.2f}" if count.recent else "-"
+        self._progress(
+            self._share(),
+            f"{count.env_steps} steps, {self._sac.updates} updates, exploring {grasped}, best {count.best_success:.2f}",
+        )
+
+    def _save(self, finished: bool = False) -> None:
+        """Write everything that decides the future; a failure is logged, training goes on."""
+        arrays, texts = self._env.save()
+        tensors = {f"sac.{k}": v for k, v in self._sac.state().items()}
+        tensors.update({f"best.{k}": v for k, v in self._best.items()})
+        tensors.update({f"replay.{k}": v for k, v in self._replay.state_dict().items()})
+        if self._demonstrations is not None:
+            tensors.update({f"demonstrations.{k}": v for k, v in self._demonstrations.state_dict().items()})
+        tensors.update({f"env.{k}": torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()})
+        tensors["generator"] = self._generator.get_state()
+        count = self._count
+        header = {
+            "finished": finished,
+            "texts": texts,
+            "count": {**{k: v for k, v in vars(count).items() if k != "recent"}, "recent": list(count.recent)},
+        }
+        try:
+            write_tensors(self._path, tensors, header)
+        except CheckpointError as error:
+            log.warning("%s; training goes on", error)
+
+    def resume(self) -> bool:
+        """Continue from an unfinished checkpoint in the run folder, if there is one."""
+        if not self._path.exists():
+            return False
+        tensors, header = read_tensors(self._path)
+        if header["finished"]:
+            return False
+        part = _Parts(tensors)
+        self._sac.restore(part.of("sac."), self._path)
+        self._best = part.of("best.")
+        self._replay.load_state_dict(part.of("replay."))
+        if self._demonstrations is not None:
+            self._demonstrations.load_state_dict(part.of("demonstrations."))
+        self._env.restore({k: v.numpy() for k, v in part.of("env.").items()}, header["texts"])
+        self._generator.set_state(tensors["generator"])
+        kept = header["count"]
+        recent = deque(kept.pop("recent"), maxlen=RECENT_EPISODES)
+        self._count = _Count(**kept, recent=recent)
+        self._resumed = True
+        log.info("continuing from %s after %d env steps", self._path, self._count.env_steps)
+        return True
+
+
+@contextlib.contextmanager
+def learning_rate(optimiser: torch.optim.Optimizer, rate: float) -> Iterator[None]:
+    """Use another learning rate for a while."""
+    before = [group["lr"] for group in optimiser.param_groups]
+    for group in optimiser.param_groups:
+        group["lr"] = rate
+    try:
+        yield
+    finally:
+        for group, old in zip(optimiser.param_groups, before, strict=True):
+            group["lr"] = old
+
+
+class _Parts:
+    def __init__(self, tensors: dict[str, torch.Tensor]) -> None:
+        self._tensors = tensors
+
+    def of(self, prefix: str) -> dict[str, torch.Tensor]:
+        return {k.removeprefix(prefix): v for k, v in self._tensors.items() if k.startswith(prefix)}
+
+
+def end_codes(after: TensorDictBase) -> torch.Tensor:
+    """Return the replay codes (N,) of one step: truncations and faults are cut, they are never learned from."""
+    codes = torch.full((len(after["done"]),), RUNNING, dtype=torch.uint8)
+    codes[after["terminated"][:, 0]] = TERMINAL
+    codes[(after["truncated"] | after["fault"])[:, 0]] = CUT
+    return codes
+
+
+def demonstrate(
+    env: GraspEnv, teacher: Policy, replay: Replay, episodes: int, progress: Progress | None = None
+) -> tuple[int, int]:
+    """Fill `replay` with whole batch steps of a scripted policy until `episodes` have ended (thesis algorithm 4).
+
+    Failed episodes are kept, as in the thesis.
+
+    Returns:
+        Successes and episodes.
+    """
+    observation = env.reset()
+    wins = ended = 0
+    while ended < episodes and replay.added < len(replay.state):
+        state = features(observation)
+        observation["action"] = teacher.act(observation)
+        after = env.advance(observation)
+        replay.add(state, observation["action"], after["reward"][:, 0], end_codes(after))
+        done = after["done"][:, 0]
+        if done.any():
+            wins += int(after["success"].sum())
+            ended += int(done.sum())
+            for world in torch.nonzero(done)[:, 0].tolist():
+                env.begin(world, env.pools[world].draw())
+            after = env.observe()
+            if progress is not None:
+                progress(min(ended / episodes, 1.0), f"demonstrations: {wins} of {ended} grasped")
+        observation = after
+    return wins, ended
