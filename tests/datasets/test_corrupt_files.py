@@ -163,6 +163,7 @@ def test_damaged_pickles_raise_nothing_else(tmp_path, data):
     assert_one_line(lambda: load_plain_pickle(file), file)
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning:PIL.*")
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(st.data())
 def test_damaged_images_give_an_image_or_a_named_error(tmp_path, data):

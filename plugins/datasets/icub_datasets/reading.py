@@ -24,7 +24,7 @@ _BROKEN = (OSError, SyntaxError, ValueError, EOFError, IndexError, KeyError, Typ
 def require_folder(path: Path, dataset: str, expected: Sequence[str]) -> Path:
     """Return `path` when it is a folder with all entries `expected`; DataError says what was expected otherwise."""
     path = Path(path).expanduser()
-    layout = f"expected the folder of {dataset} with {', '.join(expected)}"
+    layout = f"expected the folder of {dataset}" + (f" with {', '.join(expected)}" if expected else "")
     if not path.is_dir():
         raise DataError(f"{path} is not a folder; {layout}")
     missing = [name for name in expected if not (path / name).exists()]
