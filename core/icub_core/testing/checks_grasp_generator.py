@@ -114,7 +114,7 @@ def check_not_finite(make: Make) -> None:
 
 def check_too_large(make: Make) -> None:
     """A cloud that no hand can hold gives no grasps and the reason."""
-    _refused(make, _surface(np.array([-0.4, 0.0, TABLE.top + 0.8]), (0.8, 0.8, 0.8)), "a cloud of 1.6 m")
+    _refused(make, _surface(np.array([-0.4, 0.0, TABLE.top + 0.2]), (0.4, 0.4, 0.2)), "a cloud of 0.8 m")
 
 
 def check_unreachable(make: Make) -> None:

@@ -7,9 +7,11 @@ import torch
 from icub_core.errors import CheckpointError, DataError, NotFittedError
 from icub_core.interfaces.online_head import OnlineHead
 from icub_core.testing.checks import Make
-from icub_core.testing.expect import expect, expect_raises, expect_same, expect_tensor
+from icub_core.testing.expect import expect, expect_close, expect_raises, expect_same, expect_tensor
 
 DIMENSIONS = 6
+REFIT_TOLERANCE = 0.05
+"""Scores of a used head may differ by its random numbers, far less than by what it was fitted to before."""
 
 
 def _data(seed: int = 0, problems: int = 2) -> tuple[torch.Tensor, torch.Tensor]:
@@ -60,7 +62,8 @@ def check_forgets(make: Make) -> None:
     head = _fitted(make, seed=5, problems=3)
     head.fit(*_data())
     X = _data(1)[0]
-    expect_same(head.decision_function(X), _fitted(make).decision_function(X), "scores of a fresh and of a used head")
+    fresh = _fitted(make).decision_function(X)
+    expect_close(head.decision_function(X), fresh, REFIT_TOLERANCE, "scores of a fresh and of a used head")
 
 
 def check_repeatable(make: Make) -> None:

@@ -35,7 +35,7 @@ def expect_raises(
         return raised
     except Exception as raised:
         raise ContractError(f"expected {names} {when}; got {type(raised).__name__}: {raised}") from raised
-    raise ContractError(f"expected {names} {when}; got {result!r}")
+    raise ContractError(f"expected {names} {when}; got {' '.join(repr(result).split())[:80]}")
 
 
 def expect_same(first: Any, second: Any, what: str) -> None:

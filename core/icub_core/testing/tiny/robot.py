@@ -50,7 +50,7 @@ def _links() -> tuple[_Link, ...]:
     x, y, z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     origin = (0.0, 0.0, 0.0)
     links = [
-        _Link("tiny_x", "tiny_base", "gantry_x", "prismatic", x, origin, (-1.2, 0.6)),
+        _Link("tiny_x", "tiny_base", "gantry_x", "prismatic", x, origin, (-1.2, 0.0)),
         _Link("tiny_y", "tiny_x", "gantry_y", "prismatic", y, origin, (-1.0, 1.0)),
         _Link("tiny_z", "tiny_y", "gantry_z", "prismatic", z, origin, (0.5, 2.0)),
         _Link("tiny_yaw", "tiny_z", "gantry_yaw", "revolute", z, origin, (-3.3, 3.3)),

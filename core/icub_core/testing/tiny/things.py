@@ -56,7 +56,8 @@ def draw_frame(
     Returns:
         The frame, at 1 m over a plane with the discs 10 cm nearer, and the visible part of every disc.
     """
-    rgb, depth, owner = (array.copy() for array in _drawn(tuple(places.items()), seed, size))
+    drawn = _drawn(tuple(places.items()), seed, size)
+    rgb, depth, owner = drawn[0].copy(), drawn[1].copy(), drawn[2]
     T_world_camera = look_at([0.0, 0.0, 1.0], [0.0, 0.0, 0.0])
     frame = RgbdFrame(rgb, depth, pinhole(size[1], size[0], 0.8), T_world_camera)
     masks: dict[str, NDArray[np.bool_]] = {colour: owner == i for i, colour in enumerate(places)}
