@@ -9,11 +9,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from icub_robots.kinematics.active_set import step_batch
 from icub_robots.kinematics.base import FloatArray, IkRequest
 from icub_robots.kinematics.settings import (
     CONVERGED,
-    DAMPING,
-    MAX_STEP,
     MIN_PROGRESS,
     PATIENCE,
     POSTURE_DECAY,
@@ -38,24 +37,24 @@ class ChainGeometry:
         n = model.nq
         self._axes = np.empty((n, 1, 3, 1))
         # Rodrigues: placement * rotation(q) = (R0 (I + K^2), p0) + sin q (R0 K, 0) - cos q (R0 K^2, 0)
-        self._constant, self._sine, self._cosine = np.zeros((3, n, 1, 4, 4))
+        terms = np.zeros((n, 3, 4, 4))
         for i in range(n):
             axis = pin.getJointJacobian(model, data, i + 1, pin.ReferenceFrame.LOCAL)[3:, i]
             K = pin.skew(axis)
             placement = model.jointPlacements[i + 1]
             self._axes[i, 0, :, 0] = axis
-            self._constant[i, 0] = placement.homogeneous
-            self._constant[i, 0, :3, :3] += placement.rotation @ K @ K
-            self._sine[i, 0, :3, :3] = placement.rotation @ K
-            self._cosine[i, 0, :3, :3] = -placement.rotation @ K @ K
+            terms[i, 0] = placement.homogeneous
+            terms[i, 0, :3, :3] += placement.rotation @ K @ K
+            terms[i, 1, :3, :3] = placement.rotation @ K
+            terms[i, 2, :3, :3] = -placement.rotation @ K @ K
+        self._terms = terms.reshape(n, 3, 16)
         self._end = np.array(model.frames[frame].placement.homogeneous)
 
     def __call__(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return, for q (B, n): T_world_frame (B, 4, 4), joint axes and origins (n, B, 3), world."""
-        angles = np.ascontiguousarray(q.T)[..., None, None]
-        T = np.sin(angles) * self._sine
-        T += np.cos(angles) * self._cosine
-        T += self._constant
+        factors = np.ones((*q.T.shape, 3))
+        factors[..., 1], factors[..., 2] = np.sin(q.T), np.cos(q.T)
+        T = (factors @ self._terms).reshape(*q.T.shape, 4, 4)
         for i in range(1, len(T)):
             T[i] = np.matmul(T[i - 1], T[i])
         axes = (T[..., :3, :3] @ self._axes)[..., 0]
@@ -143,7 +142,7 @@ def descend(
         J = _jacobians(T[:, :3, 3], axes, origins)
         if not free.all():
             J *= free
-        q = _step(J, error, q, result.gain * (start - q), lower, upper)
+        q = step_batch(J, error, q, result.gain * (start - q), lower, upper)
         result.gain *= POSTURE_DECAY
     result.unfinished = rows
     return result
@@ -178,33 +177,3 @@ def _jacobians(p: FloatArray, axes: FloatArray, origins: FloatArray) -> FloatArr
     J[0], J[1], J[2] = y * c - z * b, z * a - x * c, x * b - y * a
     J[3], J[4], J[5] = x, y, z
     return np.ascontiguousarray(J.transpose(2, 0, 1))
-
-
-def _step(
-    J: FloatArray, error: FloatArray, q: FloatArray, pull: FloatArray, lower: FloatArray, upper: FloatArray
-) -> FloatArray:
-    """Return the next q (B, n): the rule that `ChainIk` states."""
-    result = np.empty_like(q)
-    rows = np.arange(len(q))
-    fixed = np.zeros(q.shape, dtype=np.bool_)
-    while True:
-        H = J @ np.swapaxes(J, 1, 2)
-        H[:, range(6), range(6)] += DAMPING
-        y = np.linalg.solve(H, error[..., None] - J @ pull[..., None])
-        dq = (np.swapaxes(J, 1, 2) @ y)[..., 0] + pull
-        largest = np.abs(dq).max(axis=1, keepdims=True)
-        dq *= MAX_STEP / np.maximum(largest, MAX_STEP)
-        moved = q + dq
-        limited = np.clip(moved, lower, upper)
-        result[rows] = limited
-        beyond = (limited != moved) & ~fixed
-        again = beyond.any(axis=1)
-        if not again.any():
-            return result
-        rows, q, limited = rows[again], q[again], limited[again]
-        beyond, J, error, pull = beyond[again], J[again], error[again], pull[again]
-        fixed = fixed[again] | beyond
-        onto = limited - q
-        error = error - (J @ np.where(beyond, onto, 0.0)[..., None])[..., 0]
-        J = np.where(fixed[:, None, :], 0.0, J)
-        pull = np.where(fixed, onto, pull)

@@ -8,37 +8,28 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from icub_core.errors import ConfigError
 from icub_core.interfaces.robot import IkSolution
+from icub_robots.kinematics.active_set import step
 from icub_robots.kinematics.base import FloatArray, IkRequest
 from icub_robots.kinematics.batch import ChainGeometry, descend
 from icub_robots.kinematics.model import PinocchioModel
 from icub_robots.kinematics.settings import (
     AT_LIMIT,
     CONVERGED,
-    DAMPING,
-    MAX_STEP,
     MIN_PROGRESS,
     PATIENCE,
     POSTURE_DECAY,
     POSTURE_GAIN,
 )
 
-_DAMPING = DAMPING * np.eye(6)
-
 
 class ChainIk:
     """Solver for one frame and the joints of one group that move it.
 
-    Each iteration solves min |J dq - e|^2 + damping |dq - v|^2, where e is the twist from the frame to its target in
-    the frame's own axes and v pulls towards the start posture: dq = v + J^T (J J^T + damping I)^-1 (e - J v). A joint
-    that this would carry beyond a limit is set on it, its motion is taken off e, and the rest is solved again.
-
-    Source: Buss, "Introduction to inverse kinematics with Jacobian transpose, pseudoinverse and damped least squares
-    methods", 2004, section 6; the treatment of limits follows Flacco et al., "Motion control of redundant robots under
-    joint constraints: saturation in the null space", ICRA 2012.
+    Descends by the iteration of `active_set`, with the twist from the frame to its target in the frame's own axes, and
+    a pull towards the start posture that fades.
 
     Args:
         model: The whole robot.
@@ -171,7 +162,7 @@ class ChainIk:
             J = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL)
             if not self._all_free:
                 J = J * self._free
-            q = _step(J, error, q, gain * (reference - q), lower, upper)
+            q = step(J, error, q, gain * (reference - q), lower, upper)
             gain *= POSTURE_DECAY
         return best_q, best_cost
 
@@ -179,30 +170,3 @@ class ChainIk:
 def _norm(vector: FloatArray) -> float:
     x, y, z = vector.tolist()
     return math.sqrt(x * x + y * y + z * z)
-
-
-def _step(
-    J: FloatArray, error: FloatArray, q: FloatArray, pull: FloatArray, lower: FloatArray, upper: FloatArray
-) -> FloatArray:
-    """Return the next q: the active-set iteration that the class describes."""
-    fixed = None
-    while True:
-        H = J.dot(J.T)
-        H += _DAMPING
-        dq = lapack.dposv(H, error - J.dot(pull))[1].dot(J)
-        dq += pull
-        largest = max(dq.max(), -dq.min())
-        if largest > MAX_STEP:
-            dq *= MAX_STEP / largest
-        moved = q + dq
-        limited = np.minimum(np.maximum(moved, lower), upper)
-        beyond = limited != moved
-        if fixed is not None:
-            beyond &= ~fixed
-        if not beyond.any():
-            return limited
-        fixed = beyond if fixed is None else fixed | beyond
-        onto = limited - q
-        error = error - J.dot(np.where(beyond, onto, 0.0))
-        J = np.where(fixed, 0.0, J)
-        pull = np.where(fixed, onto, pull)
