@@ -1,4 +1,4 @@
-"""Readers promise: the layout of the public sets, the thesis's splits, the dataset contract."""
+"""Readers promise: the layout of the public sets and the thesis's splits."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from icub_core.errors import ConfigError, DataError
-from icub_core.interfaces.dataset import Dataset
 from icub_datasets.coco import Coco
 from icub_datasets.ho3d import HO3D_CLASSES, SEQUENCES, Ho3d
 from icub_datasets.image_folder import ImageFolder
@@ -33,35 +32,6 @@ def ho3d(tmp_path):
                 tmp_path / "train" / name, 3 + (i == 0), without_object=1 if name == "BB10" else None
             )
     return tmp_path
-
-
-def check_contract(dataset: Dataset) -> None:
-    assert len(set(dataset.classes)) == len(dataset.classes)
-    assert len(dataset) > 0
-    for index, (frame, instances) in enumerate(dataset):
-        again, instances_again = dataset[index]
-        np.testing.assert_array_equal(frame.rgb, again.rgb)
-        np.testing.assert_array_equal(frame.depth, again.depth)
-        assert len(instances) == len(instances_again)
-        for one, other in zip(instances, instances_again, strict=True):
-            assert one.label in dataset.classes
-            assert one.mask.shape == frame.depth.shape
-            np.testing.assert_array_equal(one.mask, other.mask)
-            rows, columns = np.nonzero(one.mask)
-            np.testing.assert_array_equal(one.box, [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
-    with pytest.raises(IndexError):
-        dataset[len(dataset)]
-
-
-def test_every_reader_keeps_the_contract(tmp_path):
-    check_contract(YcbVideo(path=layouts.write_ycb_video(tmp_path / "ycbv")))
-    check_contract(ImageFolder(path=layouts.write_image_folder(tmp_path / "mine")))
-    (tmp_path / "coco").mkdir()
-    check_contract(Coco(path=layouts.write_coco(tmp_path / "coco")))
-
-
-def test_ho3d_keeps_the_contract(ho3d):
-    check_contract(Ho3d(path=ho3d))
 
 
 def test_ycb_video_splits(ycb_video):
