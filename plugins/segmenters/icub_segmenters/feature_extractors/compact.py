@@ -18,7 +18,7 @@ from icub_core.errors import ConfigError, WeightsError
 from icub_core.interfaces.feature_extractor import RpnCells
 from icub_segmenters.feature_extractors.network import BOX_DIM, FPN_CHANNELS, LEVELS, MASK_DIM, WIDTHS, CompactNetwork
 from icub_segmenters.feature_extractors.network import MASK_SIZE as NETWORK_MASK_SIZE
-from icub_segmenters.feature_extractors.region_network import RegionExtractor, RegionNetwork
+from icub_segmenters.feature_extractors.region_network import RegionExtractor, RegionNetwork, check_sizes
 from icub_segmenters.feature_extractors.weights import SHIPPED, fill, read_safetensors
 
 LOW_GRID, COLOUR_GRID = 2, 4
@@ -181,12 +181,9 @@ class CompactMaskRcnn(RegionExtractor):
             WeightsError: Missing, truncated or foreign weights.
             ConfigError: A size that makes no sense.
         """
-        if proposals < 1:
-            raise ConfigError(f"proposals={proposals}; expected at least 1")
         if mask_size not in (14, 28):
             raise ConfigError(f"mask_size={mask_size}; expected 14 or 28")
-        if image_size is not None and (len(image_size) != 2 or min(image_size) < 32):
-            raise ConfigError(f"image_size={list(image_size)}; expected height and width of at least 32 pixels")
+        check_sizes(image_size, proposals)
         size = None if image_size is None else (int(image_size[0]), int(image_size[1]))
         if weights == "coco":
             from icub_segmenters.feature_extractors.resnet_fpn import FpnRegions, find_torchvision_weights

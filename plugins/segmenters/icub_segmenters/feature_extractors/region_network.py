@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from icub_core.errors import DataError
+from icub_core.errors import ConfigError, DataError
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures, RpnCells
 
 BOXES_AT_ONCE = 256  # bounds the memory of the heads
@@ -51,6 +51,14 @@ class RegionNetwork(ABC):
     def cells(self, maps: Any) -> RpnCells | None:
         """What an on-line RPN learns from; None when the network has no RPN."""
         return None
+
+
+def check_sizes(image_size: list[int] | None, proposals: int) -> None:
+    """Refuse sizes that make no sense."""
+    if proposals < 1:
+        raise ConfigError(f"proposals={proposals}; expected at least 1")
+    if image_size is not None and (len(image_size) != 2 or min(image_size) < 32):
+        raise ConfigError(f"image_size={list(image_size)}; expected height and width of at least 32 pixels")
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from torch import nn
@@ -35,7 +38,7 @@ def read_safetensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str
 
 
 def read_any(path: Path) -> dict[str, torch.Tensor]:
-    """Read a safetensors file, or a state dictionary that ``torch.save`` wrote, without running pickled code.
+    """Read a safetensors file, a ``torch.save`` file, or a Detectron2 ``.pkl``, without running pickled code.
 
     Checkpoints that hold the state dictionary under "model" or "state_dict" are unwrapped.
 
@@ -47,7 +50,10 @@ def read_any(path: Path) -> dict[str, torch.Tensor]:
     if not path.is_file():
         raise WeightsError(f"no weight file {path}; expected a .safetensors or .pth file")
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        if path.suffix == ".pkl":
+            content = _plain_pickle(path)
+        else:
+            content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch.load raises many unrelated types for a damaged file
         line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise WeightsError(f"{path} is truncated or not a file of tensors ({line})") from error
@@ -57,6 +63,31 @@ def read_any(path: Path) -> dict[str, torch.Tensor]:
     if not isinstance(content, dict) or not all(isinstance(value, torch.Tensor) for value in content.values()):
         raise WeightsError(f"{path} does not hold a state dictionary of tensors")
     return dict(content)
+
+
+class _ArraysOnly(pickle.Unpickler):
+    """Builds containers and numpy arrays; refuses every other name."""
+
+    _allowed = frozenset(
+        {("numpy", "ndarray"), ("numpy", "dtype"), ("_codecs", "encode")}
+        | {(f"numpy.{core}.multiarray", "_reconstruct") for core in ("core", "_core")}
+        | {(f"numpy.{core}.numeric", "_frombuffer") for core in ("core", "_core")}
+    )
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in self._allowed:
+            raise pickle.UnpicklingError(f"it names {module}.{name}")
+        return super().find_class(module.replace("numpy.core", "numpy._core"), name)
+
+
+def _plain_pickle(path: Path) -> Any:
+    """Read nested dictionaries of numpy arrays, as Detectron2's model zoo has them; arrays become tensors."""
+    with path.open("rb") as file:
+        content = _ArraysOnly(file, encoding="latin1").load()
+    model = content.get("model", content) if isinstance(content, dict) else content
+    if not isinstance(model, dict):
+        return model
+    return {k: torch.from_numpy(np.array(v)) if isinstance(v, np.ndarray) else v for k, v in model.items()}
 
 
 def fill(module: nn.Module, tensors: Mapping[str, torch.Tensor], origin: str) -> None:
