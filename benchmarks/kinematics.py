@@ -93,7 +93,7 @@ def follow(robot: ICub, steps: int, rng: np.random.Generator) -> tuple[Figure, F
 def measure(targets: int, seed: int) -> dict[str, Figure]:
     """Measure everything; about half a minute."""
     rng = np.random.default_rng(seed)
-    robot, single, placo = ICub(), ICub(restarts=0), ICub(kinematics="placo")
+    robot, placo = ICub(), ICub(kinematics="placo")
     home = robot.description.home_q
     poses = random_targets(robot, targets, rng)
     batch = poses[:BATCH]
@@ -104,8 +104,6 @@ def measure(targets: int, seed: int) -> dict[str, Figure]:
     figures = {
         "ik.solve_ms": timed(lambda: solve(robot), targets, 7, "solve"),
         "ik.reached": share(solve(robot)),
-        "ik.one_descent_ms": timed(lambda: solve(single), targets, 7, "one descent"),
-        "ik.one_descent_reached": share(solve(single)),
         "ik.batch100_ms": timed(lambda: robot.inverse_kinematics_batch(batch, home, FRAME), 1, 25, "batch"),
         "ik.batch100_reached": share(robot.inverse_kinematics_batch(poses, home, FRAME)),
         "ik.placo_ms": timed(lambda: solve(placo), targets, 3, "placo"),

@@ -172,7 +172,7 @@ def test_contacts_and_excludes_name_existing_links(both_hands):
         ({"coupling": "tendons"}, "Did you mean 'tendon'"),
         ({"kinematics": "pinochio"}, "Did you mean 'pinocchio'"),
         ({"torso_pitch_max": -1.0}, "torso_pitch_max is -1.0"),
-        ({"restarts": -1}, "restarts is -1"),
+        ({"model": "iCubGazeboV2_5_visuomanp"}, "Did you mean 'iCubGazeboV2_5_visuomanip'"),
     ],
 )
 def test_a_wrong_choice_is_named_with_the_nearest_right_one(arguments, message):

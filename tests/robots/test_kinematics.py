@@ -136,9 +136,8 @@ def test_tracking_follows_a_moving_target():
 def test_restarts_help():
     rng = np.random.default_rng(0)
     targets = [ROBOT.forward_kinematics(posture(rng.uniform(0.0, 1.0, 10)), FRAME) for _ in range(150)]
-    without = ICub(restarts=0)
     reached = np.mean([ROBOT.inverse_kinematics(T, D.home_q, FRAME).reached for T in targets])
-    alone = np.mean([without.inverse_kinematics(T, D.home_q, FRAME).reached for T in targets])
+    alone = np.mean([s.reached for s in ROBOT.inverse_kinematics_batch(targets, D.home_q, FRAME)])
     assert alone > 0.9
     assert reached > 0.98
     assert reached > alone
@@ -146,17 +145,17 @@ def test_restarts_help():
 
 def test_batch_equals_one_by_one():
     rng = np.random.default_rng(4)
-    one_by_one = ICub(restarts=0)
     targets = np.array([ROBOT.forward_kinematics(posture(rng.uniform(0.3, 0.7, 10)), FRAME) for _ in range(60)])
     targets[::7, 0, 3] -= 2.0  # some out of reach
     batch = ROBOT.inverse_kinematics_batch(targets, D.home_q, FRAME)
     assert len(batch) == 60
     for target, solution in zip(targets, batch, strict=True):
         assert_honest(solution, target)
-        single = one_by_one.inverse_kinematics(target, D.home_q, FRAME)
-        assert single.reached == solution.reached
-        if single.reached:
+        single = ROBOT.inverse_kinematics(target, D.home_q, FRAME)
+        assert single.reached or not solution.reached  # a batch has no restarts
+        if solution.reached:
             assert np.allclose(single.q, solution.q, atol=1e-4)
+    assert np.mean([s.reached for s in batch]) > 0.8
     assert ROBOT.inverse_kinematics_batch([], D.home_q, FRAME) == []
 
 

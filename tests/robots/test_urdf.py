@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from icub_core.errors import DataError
-from icub_robots import cache, urdf
+from icub_robots import cache, models, urdf
 from icub_robots.description import describe
 from icub_robots.icub import ICub
 
@@ -69,7 +69,7 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
     def full_disk(source, target):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(cache.os, "replace", full_disk)
+    monkeypatch.setattr(Path, "replace", full_disk)
     with pytest.raises(DataError, match="No space left on device"):
         cache.store_text("text", "x", ".txt")
     assert list((tmp_path / "icub-kit").iterdir()) == []
@@ -84,11 +84,11 @@ def test_an_unwritable_cache_is_one_clear_line(tmp_path, monkeypatch):
 
 
 def test_a_missing_mesh_is_named(tmp_path, monkeypatch):
-    real = urdf._body_file()
-    folder = tmp_path / "iCub" / "robots" / urdf.BODY_MODEL
+    real = models.model_file(models.BODY_MODEL)
+    folder = tmp_path / "iCub" / "robots" / models.BODY_MODEL
     folder.mkdir(parents=True)
     (folder / "model.urdf").write_bytes(real.read_bytes())
-    monkeypatch.setattr(urdf, "_body_file", lambda: folder / "model.urdf")
+    monkeypatch.setattr(urdf, "model_file", lambda name: folder / "model.urdf")
     with pytest.raises(DataError, match=r"mesh .*\.stl .* is missing"):
         describe()
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
-from icub_core.errors import DataError
+from icub_core.errors import CheckpointError, DataError
+from icub_core.files import write_bytes_atomically
 
 
 def cache_dir() -> Path:
@@ -19,28 +20,45 @@ def cache_dir() -> Path:
 def store_text(text: str, stem: str, suffix: str) -> Path:
     """Keep `text` in a file named after its content and return the path.
 
-    The same text always gives the same path, and a reader meets either no file or the whole one: it is written aside
-    and renamed. A file that was damaged since is written again.
+    The same text always gives the same path, and a reader meets either no file or the whole one. A file that was
+    damaged since is written again.
 
     Raises:
         DataError: The folder cannot be written.
     """
     content = text.encode()
-    path = cache_dir() / f"{stem}-{hashlib.sha256(content).hexdigest()[:16]}{suffix}"
-    try:
-        if path.is_file() and path.read_bytes() == content:
-            return path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(content)
-            os.replace(temporary, path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise DataError(
-            f"cannot write {path}: {error.strerror}; set XDG_CACHE_HOME to a folder that can be written"
-        ) from error
+    path = cache_dir() / f"{stem}-{_digest(content)}{suffix}"
+    if _read(path) != content:
+        _write(path, content)
     return path
+
+
+def store_derived(source: bytes, derive: Callable[[], bytes], stem: str, suffix: str) -> Path:
+    """Keep what `derive` makes of `source` in a file named after the source; derive only when it is not there.
+
+    Raises:
+        DataError: The folder cannot be written.
+    """
+    path = cache_dir() / f"{stem}-{_digest(source)}{suffix}"
+    if not path.is_file():
+        _write(path, derive())
+    return path
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def _read(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return None
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        write_bytes_atomically(path, content)
+    except CheckpointError as error:
+        reason = str(error).split("; ")[0]
+        raise DataError(f"{reason}; set XDG_CACHE_HOME to a folder that can be written") from error

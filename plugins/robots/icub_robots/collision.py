@@ -47,6 +47,8 @@ class CollisionChecker:
             if link in model.description.capsule_links:
                 cylinder = shape.geometry
                 shape.geometry = coal.Capsule(cylinder.radius, 2.0 * cylinder.halfLength)
+            elif isinstance(shape.geometry, coal.BVHModelBase):
+                shape.geometry = _convex_hull(shape.meshPath, tuple(shape.meshScale.tolist()))
             self._shapes.setdefault(link, []).append(i)
         self._add_hulls(name for name in _HULLS if name not in self._shapes)
         self._table_size: tuple[float, ...] = (1.0, 1.0, 1.0)

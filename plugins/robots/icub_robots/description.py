@@ -10,14 +10,20 @@ from icub_core.errors import ConfigError, unknown_name
 from icub_core.robot_description import Actuator, ContactMaterial, RobotDescription
 from icub_robots import body
 from icub_robots.cache import store_text
+from icub_robots.hand_meshes import hand_shapes
 from icub_robots.hand_table import SIDES, Hand, load_hand
+from icub_robots.models import BODY_MODEL, MODELS
 from icub_robots.urdf import assemble, joint_limits, root_transform
 
 COUPLINGS = ("tendon", "equal_split")
 
 
 def describe(
-    hands: Sequence[str] = ("right",), limits: str = "ikin", coupling: str = "tendon", weld: bool = True
+    hands: Sequence[str] = ("right",),
+    limits: str = "ikin",
+    coupling: str = "tendon",
+    weld: bool = True,
+    model: str = BODY_MODEL,
 ) -> RobotDescription:
     """Assemble the robot.
 
@@ -27,12 +33,15 @@ def describe(
         coupling: ``"tendon"``: one actuator pulls the weighted sum of its joints, contact decides the split;
             ``"equal_split"``: those joints also stay equal.
         weld: Fix the legs, and each arm whose hand is not asked for, at the home pose; fewer joints, faster physics.
+        model: ``"iCubGazeboV2_7"``: palms are boxes, finger links capsules; ``"iCubGazeboV2_5_visuomanip"``, if an
+            icub-models with it is installed: hands have that model's meshes, to show and to collide.
 
     Raises:
-        ConfigError: An unknown hand, limit set or coupling.
+        ConfigError: An unknown hand, limit set, coupling or model.
         DataError: icub-models is incomplete, or the cache folder cannot be written.
     """
-    _check(hands, limits, coupling)
+    _check(hands, limits, coupling, model)
+    shapes = hand_shapes() if model != BODY_MODEL else {}
     fingered = tuple(load_hand(side) for side in reversed(SIDES) if side in hands)  # the right hand comes last
     arms = [side for side in reversed(SIDES) if side in hands or not weld]
     legs = [] if weld else list(reversed(SIDES))
@@ -44,7 +53,7 @@ def describe(
         movable += body.leg(side)
     all_body = [*body.TORSO, *body.NECK, *(j for side in SIDES for j in (*body.arm(side), *body.leg(side)))]
     welded = {joint: body.HOME.get(joint, 0.0) for joint in all_body if joint not in movable}
-    text = assemble(fingered, welded, body.LIMIT_SETS[limits])
+    text = assemble(fingered, welded, body.LIMIT_SETS[limits], shapes)
     ranges = joint_limits(text)
     home = {**body.HOME, **{joint: q for hand in fingered for joint, q in hand.home.items()}}
     return RobotDescription(
@@ -72,14 +81,17 @@ def describe(
             pair for hand in fingered for pair in ((hand.palm_link, f"{hand.side[0]}_forearm"), *hand.contact_excludes)
         ),
         capsule_links=frozenset(
-            name for hand in fingered for name in (f"{hand.side[0]}_forearm", *(p.name for p in hand.phalanges))
+            name
+            for hand in fingered
+            for name in (f"{hand.side[0]}_forearm", *(p.name for p in hand.phalanges))
+            if name not in shapes
         ),
         coupled_joints=tuple(c for hand in fingered for c in hand.equal_split) if coupling == "equal_split" else (),
         gravity_compensation=True,
     )
 
 
-def _check(hands: Sequence[str], limits: str, coupling: str) -> None:
+def _check(hands: Sequence[str], limits: str, coupling: str, model: str) -> None:
     for side in hands:
         if side not in SIDES:
             raise ConfigError(unknown_name("hand", side, SIDES))
@@ -87,6 +99,8 @@ def _check(hands: Sequence[str], limits: str, coupling: str) -> None:
         raise ConfigError(unknown_name("set of joint limits", limits, body.LIMIT_SETS))
     if coupling not in COUPLINGS:
         raise ConfigError(unknown_name("finger coupling", coupling, COUPLINGS))
+    if model not in MODELS:
+        raise ConfigError(unknown_name("model of icub-models", model, MODELS))
 
 
 def _groups(arms: Sequence[str], legs: Sequence[str], hands: Sequence[Hand]) -> dict[str, tuple[str, ...]]:

@@ -18,6 +18,8 @@ from icub_robots.gaze import Gaze
 from icub_robots.kinematics.base import IkRequest, Kinematics, restart_postures
 from icub_robots.kinematics.model import PinocchioModel
 from icub_robots.kinematics.pinocchio_kinematics import PinocchioKinematics
+from icub_robots.kinematics.settings import RESTARTS
+from icub_robots.models import BODY_MODEL
 
 if TYPE_CHECKING:
     from icub_robots.collision import CollisionChecker
@@ -36,8 +38,9 @@ class ICub(Robot):
         weld: Fix legs and unused arms at home.
         kinematics: Inverse kinematics by ``"pinocchio"`` (fast, restarts, batches) or ``"placo"`` (quadratic program).
         torso_pitch_max: Upper limit of torso_pitch in inverse kinematics, rad (thesis 12.3: 0.5).
-        restarts: Further starts of a solve that did not reach, when it was allowed more than 10 iterations.
         cable_limits: Inverse kinematics also keeps the shoulders' cables slack, as the real robot needs; placo only.
+        model: ``"iCubGazeboV2_5_visuomanip"`` gives the hands that model's meshes, to show and to collide; it needs an
+            icub-models built from its sources. Kinematics and masses are the same.
     """
 
     def __init__(
@@ -48,16 +51,14 @@ class ICub(Robot):
         weld: bool = True,
         kinematics: str = "pinocchio",
         torso_pitch_max: float = 0.5,
-        restarts: int = 4,
         cable_limits: bool = False,
+        model: str = BODY_MODEL,
     ) -> None:
         if kinematics not in KINEMATICS:
             raise ConfigError(unknown_name("kinematics library", kinematics, KINEMATICS))
-        if restarts < 0:
-            raise ConfigError(f"restarts is {restarts}; expected 0 or more")
         if cable_limits and kinematics != "placo":
             raise ConfigError(f"cable_limits needs kinematics 'placo', not '{kinematics}'")
-        self._description = describe(tuple(hands), limits, coupling, weld)
+        self._description = describe(tuple(hands), limits, coupling, weld, model)
         self._model = PinocchioModel(self._description)
         lower, upper = self._description.lower.copy(), self._description.upper.copy()
         torso_pitch = self._description.joint_names.index("torso_pitch")
@@ -67,7 +68,7 @@ class ICub(Robot):
                 f"{lower[torso_pitch]:.3f}"
             )
         upper[torso_pitch] = min(upper[torso_pitch], torso_pitch_max)
-        starts = restart_postures(self._description.home_q, lower, upper, restarts)
+        starts = restart_postures(self._description.home_q, lower, upper, RESTARTS)
         self._kinematics: Kinematics
         if kinematics == "placo":
             from icub_robots.kinematics.placo_kinematics import PlacoKinematics

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,20 +18,10 @@ from icub_core.geometry import (
 )
 from icub_robots import body
 from icub_robots.hand_table import Hand
+from icub_robots.models import BODY_MODEL, model_file, resolve_mesh
 
-BODY_MODEL = "iCubGazeboV2_7"
 _HAND_RGBA = "0.82 0.82 0.84 1"
 _KEPT_FRAMES = {"r_hand_dh_frame", "l_hand_dh_frame"}  # besides the fingertips, which come with the hands
-
-
-@cache
-def _body_file() -> Path:
-    import icub_models
-
-    try:
-        return Path(icub_models.get_model_file(BODY_MODEL)).resolve()
-    except Exception as error:  # the package raises bare exceptions
-        raise DataError(f"icub-models has no model '{BODY_MODEL}'; expected version 3.0 or newer") from error
 
 
 def body_root() -> ET.Element:
@@ -42,27 +30,29 @@ def body_root() -> ET.Element:
     Raises:
         DataError: The model or one of its meshes is missing.
     """
-    file = _body_file()
+    file = model_file(BODY_MODEL)
     root = ET.parse(file).getroot()
     for tag in ("gazebo", "sensor"):
         for element in root.findall(tag):
             root.remove(element)
-    share = file.parents[2]  # .../share/iCub/robots/<model>/model.urdf; package://iCub is .../share/iCub
     for mesh in root.iter("mesh"):
-        path = share / mesh.attrib["filename"].removeprefix("package://iCub/")
-        if not path.is_file():
-            raise DataError(f"mesh {path} of {BODY_MODEL} is missing; expected a complete icub-models package")
-        mesh.set("filename", str(path))
+        mesh.set("filename", str(resolve_mesh(mesh.attrib["filename"], file)))
     return root
 
 
-def assemble(hands: Iterable[Hand], welded: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> str:
+def assemble(
+    hands: Iterable[Hand],
+    welded: Mapping[str, float],
+    limits: Mapping[str, tuple[float, float]],
+    shapes: Mapping[str, tuple[ET.Element, ...]],
+) -> str:
     """Write the robot.
 
     Args:
         hands: Hands that get fingers and collision geometry; the other hand stays the body's one visual mesh.
         welded: Joints of the body to fix, with the angle (rad) they are fixed at.
         limits: Joints of the body whose limits (rad) are replaced.
+        shapes: By hand link, ``<visual>`` and ``<collision>`` elements in the place of palm boxes and finger capsules.
 
     Returns:
         The URDF as text; the same arguments give the same text.
@@ -82,7 +72,7 @@ def assemble(hands: Iterable[Hand], welded: Mapping[str, float], limits: Mapping
             limit.set("upper", repr(limits[name][1]))
     _prune_frames(root)
     for hand in hands:
-        _attach_hand(root, hand)
+        _attach_hand(root, hand, shapes)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
@@ -133,12 +123,13 @@ def _prune_frames(root: ET.Element) -> None:
                 root.remove(element)
 
 
-def _attach_hand(root: ET.Element, hand: Hand) -> None:
+def _attach_hand(root: ET.Element, hand: Hand, shapes: Mapping[str, tuple[ET.Element, ...]]) -> None:
     links = {link.get("name"): link for link in root.findall("link")}
     palm = links[hand.palm_link]
     for visual in palm.findall("visual"):  # the single mesh shows fingers that do not move
         palm.remove(visual)
-    for box in hand.palm:
+    palm.extend(shapes.get(hand.palm_link, ()))
+    for box in () if hand.palm_link in shapes else hand.palm:
         size = _text(2.0 * h for h in box.half_size)
         rpy = matrix_to_rpy(quat_wxyz_to_matrix(box.quat_wxyz))
         _add_shape(palm, "box", {"size": size}, np.array(box.position), rpy, visible=True)
@@ -149,7 +140,11 @@ def _attach_hand(root: ET.Element, hand: Hand) -> None:
         ET.SubElement(inertial, "mass", value=repr(hand.mass))
         i = repr(hand.inertia)
         ET.SubElement(inertial, "inertia", ixx=i, ixy="0", ixz="0", iyy=i, iyz="0", izz=i)
-        _add_capsule(link, np.array(phalanx.capsule_from), np.array(phalanx.capsule_to), phalanx.capsule_radius, True)
+        if phalanx.name in shapes:
+            link.extend(shapes[phalanx.name])
+        else:
+            start, end = np.array(phalanx.capsule_from), np.array(phalanx.capsule_to)
+            _add_capsule(link, start, end, phalanx.capsule_radius, visible=True)
         joint = _add_joint(root, phalanx.joint, phalanx.parent, phalanx.name, phalanx.xyz, phalanx.rpy)
         if not phalanx.fixed:
             joint.set("type", "revolute")

@@ -7,4 +7,5 @@ POSTURE_DECAY = 0.7  # of that share per iteration: a constant pull would keep t
 CONVERGED = 0.1  # an iterate within this share of both tolerances ends the descent
 PATIENCE = 4  # iterations without progress that end a descent
 MIN_PROGRESS = 0.9  # ratio of squared errors that counts as progress
+RESTARTS = 4  # further starts of a solve that did not reach; one descent reaches 0.96, five 1.00 of random targets
 AT_LIMIT = 1e-9  # rad
