@@ -24,6 +24,8 @@ LARGEST_OBJECT = 2.0
 """Metres; more is taken for a mesh in millimetres."""
 SMALLEST_OBJECT = 2e-3
 MOST_FACES = 2_000_000
+NEARLY_CONVEX = 0.01
+"""A mesh whose volume differs by less than this share from its hull's is taken for convex."""
 SPECK = 2e-3
 """Pieces below this share of the volume are left out of the collision shape."""
 
@@ -84,6 +86,8 @@ def check_size(path: Path, points: FloatArray) -> None:
 def convex_pieces(vertices: FloatArray, faces: IntArray, most: int, concavity: float) -> list[FloatArray]:
     """Decompose a mesh into at most `most` convex pieces (CoACD), kept by content hash.
 
+    A mesh that is convex already, to within `NEARLY_CONVEX` of its volume, is its own only piece.
+
     Args:
         vertices: (V, 3).
         faces: (F, 3).
@@ -93,9 +97,9 @@ def convex_pieces(vertices: FloatArray, faces: IntArray, most: int, concavity: f
     Returns:
         Vertices of each piece, (N_i, 3), in the unit of `vertices`.
     """
-    if most == 1:
+    if most == 1 or abs(_volume(vertices, faces) / hull_volume(vertices) - 1) < NEARLY_CONVEX:
         return [vertices]
-    key = content_key(vertices.tobytes(), faces.tobytes(), most, concavity, "coacd-1")
+    key = content_key(vertices.tobytes(), faces.tobytes(), most, concavity, "coacd-2")
 
     def compute() -> Arrays:
         import coacd
@@ -107,6 +111,12 @@ def convex_pieces(vertices: FloatArray, faces: IntArray, most: int, concavity: f
 
     arrays = cached_arrays("convex", key, compute)
     return [arrays[name] for name in sorted(arrays)]
+
+
+def _volume(vertices: FloatArray, faces: IntArray) -> float:
+    """Volume enclosed by a closed surface; meaningless (and seldom near the hull's) for an open one."""
+    a, b, c = (vertices[faces[:, i]] - vertices[0] for i in range(3))
+    return float(abs(np.einsum("fi,fi->f", a, np.cross(b, c)).sum()) / 6)
 
 
 def solid_object(

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
 from icub_core.errors import DataError
@@ -67,18 +69,43 @@ def stable_poses(points: FloatArray, center: FloatArray) -> Iterator[tuple[RestP
         hull = ConvexHull(points)
     except (QhullError, ValueError) as error:
         raise DataError("the points span no volume; a rest pose needs a solid body") from error
-    normals = hull.equations[:, :3]
-    heights = -(hull.equations[:, 3] + normals @ center)  # of the centre of mass above each triangle's plane
-    seen = np.zeros(len(normals), dtype=bool)
+    facets = _facets(hull)
+    largest = np.unique(facets, return_index=True)[1]  # one triangle of each facet stands for its plane
+    normals = hull.equations[largest, :3]
+    heights = -(hull.equations[largest, 3] + normals @ center)  # of the centre of mass above the plane
+    size = np.bincount(facets)
+    margins = _triangle_margins(points[hull.simplices[largest]], normals, center)
     for index in np.argsort(heights, kind="stable"):
-        if seen[index]:
-            continue
-        facet = ~seen & (np.abs(normals - normals[index]).max(axis=1) < COPLANAR)
-        seen |= facet
-        margin = _margin(points[np.unique(hull.simplices[facet])], normals[index], center)
+        margin = float(margins[index])
+        if size[index] > 1:
+            margin = _margin(points[np.unique(hull.simplices[facets == index])], normals[index], center)
         R = rotation_taking(normals[index], np.array([0.0, 0.0, -1.0]))
         w, x, y, z = (float(v) for v in matrix_to_quat_wxyz(R))
         yield RestPose((w, x, y, z), -float((points @ R[2]).min())), float(np.arctan2(margin, heights[index]))
+
+
+def _facets(hull: ConvexHull) -> NDArray[np.intp]:
+    """Number the facets: neighbouring triangles with the same normal belong to one."""
+    normals = hull.equations[:, :3]
+    n = len(normals)
+    first = np.repeat(np.arange(n), 3)
+    second = hull.neighbors.ravel()
+    same = np.abs(normals[first] - normals[second]).max(axis=1) < COPLANAR
+    links = coo_array((np.ones(same.sum()), (first[same], second[same])), shape=(n, n))
+    return np.asarray(connected_components(links, directed=False)[1], dtype=np.intp)
+
+
+def _triangle_margins(corners: FloatArray, normals: FloatArray, center: FloatArray) -> FloatArray:
+    """Signed distance from the projected centre to the nearest edge of each triangle (F, 3, 3), positive inside."""
+    middle = corners.mean(axis=1)
+    margins = np.full(len(corners), np.inf)
+    for i in range(3):
+        start, edge = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
+        inward = np.cross(normals, edge)
+        inward *= np.sign(np.einsum("fi,fi->f", inward, middle - start))[:, None]
+        length = np.maximum(np.linalg.norm(inward, axis=1), 1e-300)
+        margins = np.minimum(margins, np.einsum("fi,fi->f", inward, center - start) / length)
+    return margins
 
 
 def rest_pose(points: FloatArray, center: FloatArray) -> RestPose:

@@ -1,0 +1,292 @@
+"""What the object sets promise."""
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from icub_core.errors import ConfigError, DataError
+from icub_core.geometry import quat_wxyz_to_matrix
+from icub_core.scene import Scene
+from icub_core.testing.checks import checks
+from icub_simulators.decimation import decimate
+from icub_simulators.mujoco.simulator import Mujoco
+from icub_simulators.objects.folder import Folder
+from icub_simulators.objects.random1000 import Random1000
+from icub_simulators.objects.solids import center_of_mass, hull_volume, narrowest_width, rest_pose, stable_poses
+from icub_simulators.objects.textures import PATTERNS, print_texture
+from icub_simulators.objects.ycb_primitives import YcbPrimitives
+
+PUBLISHED = {  # metres and kilograms, from the YCB project's table
+    "003_cracker_box": ((0.060, 0.158, 0.210), 0.411),
+    "004_sugar_box": ((0.038, 0.089, 0.175), 0.514),
+    "005_tomato_soup_can": ((0.066, 0.066, 0.101), 0.349),
+    "006_mustard_bottle": ((0.058, 0.095, 0.190), 0.603),
+    "008_pudding_box": ((0.035, 0.110, 0.089), 0.187),
+    "010_potted_meat_can": ((0.050, 0.097, 0.082), 0.370),
+    "021_bleach_cleanser": ((0.065, 0.098, 0.250), 1.131),
+    "035_power_drill": ((0.184, 0.057, 0.187), 0.895),
+}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def private_cache(tmp_path_factory):
+    """What is computed here is not taken from, nor left in, the user's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Build an object folder from meshes by name."""
+
+    def build(**meshes):
+        for name, mesh in meshes.items():
+            path = tmp_path / f"{name}.obj"
+            path.write_text(mesh if isinstance(mesh, str) else trimesh.exchange.obj.export_obj(mesh))
+        return Folder(tmp_path)
+
+    return build
+
+
+@pytest.mark.parametrize("name", list(checks("objects")))
+@pytest.mark.parametrize("make", [YcbPrimitives, Random1000])
+def test_contract(make, name):
+    checks("objects")[name](make)
+
+
+@pytest.mark.parametrize("name", list(checks("objects")))
+def test_contract_of_folders(name, folder):
+    folder(cup=trimesh.creation.capsule(0.1, 0.03), block=trimesh.creation.box((0.05, 0.06, 0.1)))
+    checks("objects")[name](lambda: folder())
+
+
+def bounds(spec):
+    """Half extents of the pieces, from their own sizes and poses."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for piece in spec.collision:
+        R = quat_wxyz_to_matrix(piece.quat_wxyz)
+        if piece.shape == "box":
+            reach = np.abs(R) @ np.array(piece.size)
+        else:
+            radius, half = piece.size
+            axis = R[:, 2]
+            reach = half * np.abs(axis) + radius * np.sqrt(np.clip(1 - axis**2, 0, 1))
+        low = np.minimum(low, np.array(piece.position) - reach)
+        high = np.maximum(high, np.array(piece.position) + reach)
+    return low, high
+
+
+@pytest.mark.parametrize("name", list(PUBLISHED))
+def test_ycb_sizes_and_masses_are_the_published_ones(name):
+    spec = YcbPrimitives().get(name)
+    size, mass = PUBLISHED[name]
+    low, high = bounds(spec)
+    np.testing.assert_allclose(high - low, size, atol=1e-9)
+    np.testing.assert_allclose(high + low, 0, atol=1e-9)
+    np.testing.assert_allclose(np.array(spec.half_extents) * 2, size)
+    assert spec.mass == mass
+    standing = np.abs(quat_wxyz_to_matrix(spec.rest_quat_wxyz)) @ np.array(spec.half_extents)
+    assert spec.rest_height == pytest.approx(standing[2])
+
+
+def test_ycb_holds_the_eight_of_the_thesis():
+    assert YcbPrimitives().names == tuple(PUBLISHED)
+
+
+def test_random_objects_are_all_there_but_the_broken_one():
+    names = Random1000().names
+    assert len(names) == 999
+    assert "random_168" not in names
+    with pytest.raises(ConfigError, match="random_007"):
+        Random1000().get("random_7")
+
+
+def test_random_objects_have_their_true_size_unless_asked():
+    spec = Random1000().get("random_000")
+    assert spec.mass == 0.1
+    lengths = [max(Random1000([0.1, 0.12]).get(f"random_{i:03d}").half_extents) * 2 for i in range(12)]
+    assert all(0.1 <= length <= 0.12 for length in lengths)
+    assert len(set(lengths)) == 12
+    with pytest.raises(ConfigError, match="size"):
+        Random1000([0.2, 0.1])
+
+
+@pytest.mark.slow
+def test_graspable_random_objects_fit_the_hand():
+    objects = Random1000(graspable=True)
+    assert len(objects.names) >= 200
+    for name in objects.names[::10]:
+        spec = objects.get(name)
+        points = np.concatenate([trimesh.load(piece.mesh).vertices for piece in spec.collision])
+        standing = points @ quat_wxyz_to_matrix(spec.rest_quat_wxyz).T
+        assert 0.039 < narrowest_width(standing[:, :2]) < 0.063
+        assert 0.049 < np.ptp(standing[:, 2]) < 0.251
+        assert 0.069 < np.ptp(points, axis=0).max() < 0.221
+        assert -standing[:, 2].min() == pytest.approx(spec.rest_height, abs=1e-6)
+
+
+def test_random_objects_rest_where_they_are_put(standing):
+    objects = Random1000([0.09, 0.15])
+    specs = [objects.get(name) for name in objects.names[:12]]
+    simulator = Mujoco()
+    simulator.load(None, Scene(objects=tuple(specs)))
+    poses = {s.name: standing(s, -0.4 - 0.3 * (i % 2), -0.8 + 0.14 * i) for i, s in enumerate(specs)}
+    for name, pose in poses.items():
+        simulator.set_object_pose(name, pose)
+    simulator.step(200)
+    upright = [simulator.object_pose(name)[:3, 2] @ pose[:3, 2] for name, pose in poses.items()]
+    simulator.close()
+    assert np.mean(np.array(upright) > np.cos(0.1)) >= 0.9
+
+
+def l_shape():
+    """Two walls, 3 cm thick: 204 cubic centimetres."""
+    outline = np.array([[0, 0], [0.1, 0], [0.1, 0.03], [0.03, 0.03], [0.03, 0.1], [0, 0.1]])
+    vertices = np.concatenate([np.c_[outline, np.zeros(6)], np.c_[outline, np.full(6, 0.04)]])
+    caps = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
+    faces = [(a, c, b) for a, b, c in caps] + [(a + 6, b + 6, c + 6) for a, b, c in caps]
+    for i, j in ((i, (i + 1) % 6) for i in range(6)):
+        faces += [(i, j, j + 6), (i, j + 6, i + 6)]
+    return trimesh.Trimesh(vertices, np.array(faces), process=False)
+
+
+def test_a_mesh_is_decomposed_once(folder, monkeypatch):
+    first = folder(corner=l_shape()).get("corner")
+    assert len(first.collision) == 2  # its hull would fill the corner
+    monkeypatch.setattr("coacd.run_coacd", lambda *a, **k: pytest.fail("decomposed again"))
+    second = folder().get("corner")
+    assert [p.mesh for p in first.collision] == [p.mesh for p in second.collision]
+    volume = sum(hull_volume(np.asarray(trimesh.load(p.mesh).vertices)) for p in first.collision)
+    assert volume == pytest.approx(2.04e-4, rel=0.03)
+    assert first.mass == pytest.approx(500 * volume, rel=1e-6)
+    np.testing.assert_allclose(trimesh.load(first.visual[0].mesh).volume, 2.04e-4, rtol=1e-3)
+
+
+def test_a_convex_mesh_is_not_decomposed(folder, monkeypatch):
+    monkeypatch.setattr("coacd.run_coacd", lambda *a, **k: pytest.fail("decomposed a ball"))
+    spec = folder(ball=trimesh.creation.icosphere(2, radius=0.03)).get("ball")
+    assert len(spec.collision) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "is empty"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no faces"),
+        ("v nan 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n", "not finite"),
+        ("v 0 0 0\nv .1 0 0\nv 0 .1 0\nv .1 .1 0\nf 1 2 3\nf 2 4 3\n", "flat"),
+        ("v 0 0 0\nv 90 0 0\nv 0 90 0\nv 0 0 90\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n", "scale=0.001"),
+    ],
+)
+def test_broken_meshes_are_one_clear_line(folder, content, message):
+    objects = folder(thing=content)
+    with pytest.raises(DataError, match=message) as caught:
+        objects.get("thing")
+    assert "thing.obj" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_millimetres_are_read_with_the_scale(tmp_path):
+    trimesh.creation.box((50, 60, 100)).export(tmp_path / "block.stl")
+    spec = Folder(tmp_path, scale=0.001).get("block")
+    np.testing.assert_allclose(spec.half_extents, (0.025, 0.03, 0.05), atol=1e-6)
+    assert spec.mass == pytest.approx(500 * 0.05 * 0.06 * 0.1, rel=1e-3)
+    assert spec.rest_height == pytest.approx(0.025, abs=1e-6)
+
+
+def test_folders_that_cannot_be_used(tmp_path):
+    with pytest.raises(DataError, match="does not exist"):
+        Folder(tmp_path / "nowhere")
+    with pytest.raises(DataError, match="no mesh"):
+        Folder(tmp_path)
+    (tmp_path / "cup.obj").write_text("v 0 0 0\n")
+    with pytest.raises(ConfigError, match="scale"):
+        Folder(tmp_path, scale=0)
+    with pytest.raises(ConfigError, match="Did you mean 'cup'"):
+        Folder(tmp_path).get("cap")
+
+
+def test_a_mesh_that_vanished_is_named(folder, tmp_path):
+    objects = folder(block=trimesh.creation.box((0.05, 0.06, 0.1)))
+    (tmp_path / "block.obj").unlink()
+    with pytest.raises(DataError, match="no mesh file"):
+        objects.get("block")
+
+
+def test_a_box_rests_on_its_largest_side():
+    points = trimesh.creation.box((0.04, 0.09, 0.17)).vertices.view(np.ndarray)
+    pose = rest_pose(points, np.zeros(3))
+    assert pose.height == pytest.approx(0.02)
+    assert [round(p.height, 3) for p, tilt in stable_poses(points, np.zeros(3)) if tilt > 0.1] == [
+        0.02, 0.02, 0.045, 0.045, 0.085, 0.085,
+    ]  # fmt: skip
+
+
+def test_a_body_whose_weight_hangs_over_does_not_rest_there():
+    points = trimesh.creation.box((0.04, 0.09, 0.17)).vertices.view(np.ndarray)
+    heavy_edge = np.array([0.0, 0.044, 0.0])  # 1 mm inside one narrow side
+    pose = rest_pose(points, heavy_edge)
+    assert pose.height == pytest.approx(0.045)
+    assert quat_wxyz_to_matrix(pose.quat_wxyz)[2, 1] == pytest.approx(-1)  # the heavy side is down
+    tilts = [tilt for p, tilt in stable_poses(points, heavy_edge) if p.height == pytest.approx(0.02)]
+    np.testing.assert_allclose(tilts, np.arctan2(0.001, 0.02))
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_rest_poses_are_those_of_the_hull(seed):
+    """The lowest point is on the table and the centre of mass above the hull of what touches."""
+    points = np.random.default_rng(seed).normal(size=(30, 3)) * [0.03, 0.05, 0.08]
+    center = center_of_mass([points])
+    pose = rest_pose(points, center)
+    R = quat_wxyz_to_matrix(pose.quat_wxyz)
+    height = (points @ R.T)[:, 2] + pose.height
+    assert height.min() == pytest.approx(0, abs=1e-12)
+    assert (height < 1e-9).sum() >= 3
+
+
+@settings(max_examples=25, deadline=None)
+@given(scale=st.floats(0.01, 10), seed=st.integers(0, 1000))
+def test_center_of_mass_moves_with_the_body(scale, seed):
+    rng = np.random.default_rng(seed)
+    points, shift = rng.normal(size=(12, 3)), rng.normal(size=3)
+    center = center_of_mass([points])
+    np.testing.assert_allclose(center_of_mass([scale * points + shift]), scale * center + shift, atol=1e-8)
+    mesh = trimesh.convex.convex_hull(points)
+    np.testing.assert_allclose(center, mesh.center_mass, atol=1e-8)
+
+
+def test_decimation_stays_near_the_surface():
+    ball = trimesh.creation.icosphere(5, radius=0.1)
+    vertices, faces = decimate(np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int64), 400)
+    assert 100 < len(faces) <= 400
+    radius = np.linalg.norm(vertices, axis=1)
+    assert np.abs(radius - 0.1).max() < 2e-3
+    assert trimesh.Trimesh(vertices, faces).volume == pytest.approx(ball.volume, rel=0.1)
+
+
+def test_decimation_keeps_a_box_a_box():
+    box = trimesh.creation.box((0.1, 0.2, 0.3)).subdivide().subdivide().subdivide().subdivide()
+    vertices, _ = decimate(np.asarray(box.vertices), np.asarray(box.faces, dtype=np.int64), 300)
+    np.testing.assert_allclose(np.abs(vertices).max(axis=0), [0.05, 0.1, 0.15], atol=1e-6)
+
+
+def test_decimation_leaves_light_meshes_alone():
+    box = trimesh.creation.box((0.1, 0.2, 0.3))
+    _, faces = decimate(np.asarray(box.vertices), np.asarray(box.faces, dtype=np.int64), 300)
+    assert len(faces) == 12
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_prints_are_deterministic_and_show_both_colours(pattern):
+    first = print_texture(pattern, (200, 30, 30), (20, 20, 220), 3)
+    np.testing.assert_array_equal(first, print_texture(pattern, (200, 30, 30), (20, 20, 220), 3))
+    assert first.dtype == np.uint8
+    if pattern != "plain":
+        blue = first[..., 2].astype(int) - first[..., 0] > 60
+        red = first[..., 0].astype(int) - first[..., 2] > 60
+        assert blue.mean() > 0.03
+        assert red.mean() > 0.03
