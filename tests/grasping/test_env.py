@@ -64,7 +64,7 @@ def test_the_hand_stands_before_the_object_at_the_start(env):
 def test_translation_and_rotation_actions_do_what_they_say(env):
     before = env.reset()
     action = torch.zeros(2, ACTION_SIZE)
-    action[:, 2] = 1.0  # up
+    action[:, 2] = 1.0
     action[:, 3] = 0.5  # yaw
     now = before.clone()
     for _ in range(10):
@@ -104,16 +104,28 @@ def test_every_simulator_fault_becomes_a_typed_truncation_and_is_counted(make_ta
     assert env.batch.firewall.report() == {fault.name.lower(): 1}
 
 
-def test_a_hand_that_leaves_its_reach_is_an_inverse_kinematics_fault(make_tasks):
+def test_the_commanded_hand_waits_at_the_edge_of_its_reach(make_tasks):
     env = GraspEnv(make_tasks())
     now = env.reset()
-    for _ in range(250):
+    for _ in range(240):
         now["action"] = torch.tensor([[1.0, 1, 1] + [0.0] * 12])
         now = env.advance(now)
+        assert now["reason"].item() != EndReason.IK_FAILURE
         if now["done"].item():
             break
-    assert now["reason"].item() == EndReason.IK_FAILURE
-    assert now["fault"].item()
+    lead = env.batch.state()["target"][0, :3] - now["hand_pose"][0, :3].numpy()
+    assert np.linalg.norm(lead) < 0.03
+
+
+def test_inverse_kinematics_that_fails_is_a_fault(make_tasks, monkeypatch):
+    env = GraspEnv(make_tasks())
+    now = env.reset()
+    monkeypatch.setattr(env.batch._tracker, "follow", lambda q, targets: np.array([[0.04, 0.0]]))
+    now["action"] = torch.zeros(1, ACTION_SIZE)
+    after = env.advance(now)
+    assert after["reason"].item() == EndReason.IK_FAILURE
+    assert after["fault"].item()
+    assert after["reward"].item() == 0
 
 
 def test_one_seed_gives_one_episode(make_tasks):

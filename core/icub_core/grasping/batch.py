@@ -37,6 +37,11 @@ BoolArray = NDArray[np.bool_]
 Observation = dict[str, NDArray[np.float32]]
 
 
+LARGEST_LEAD, LARGEST_TURN = 0.01, 0.15
+"""Metres and radians that the commanded hand pose may lie beyond what the arm reaches; DIFF: unlimited in the thesis, where
+drifting out of reach ends the episode. Here the command stops at the edge and only a solver that diverges is a fault."""
+
+
 @dataclass(frozen=True, eq=False)
 class StepResult:
     """What one step gave, by world.
@@ -124,13 +129,17 @@ class TaskBatch:
             for world in np.flatnonzero(bad):
                 self._governor.hold(int(world))
         offsets = actions * self._scale
+        before = self._target.copy()
         self._target += offsets[:, :6]
         self._target[:, :3] = self._governor.limit_position(self._target[:, :3])
         errors = self._tracker.follow(self._q, self._target)
+        ahead = (errors[:, 0] > LARGEST_LEAD) | (errors[:, 1] > LARGEST_TURN)
+        if ahead.any():  # out of reach: the target waits for the hand instead of running away from it
+            self._target[ahead] = before[ahead]
         layout = self.layout
         self._command[:, layout.reach_actuators] = self._q[:, layout.reach_joints]
         self._command[:, layout.fingers] = self._fingers + offsets[:, 6:]
-        self._command = self._governor.limit(self._command).copy()
+        self._command = self._governor.limit(self._command)
         self._q[:, layout.reach_joints] = self._command[:, layout.reach_actuators]
         self._advance(active)
         self._steps += 1

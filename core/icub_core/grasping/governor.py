@@ -75,7 +75,7 @@ class SafetyGovernor:
         return np.clip(position, self._workspace[0], self._workspace[1])
 
     def limit(self, commands: FloatArray) -> FloatArray:
-        """Return the commands (N, m) that may be sent now, given the wanted ones (N, m), rad."""
+        """Return the commands (N, m) that may be sent now, given the wanted ones (N, m), rad; the caller owns them."""
         finite = np.isfinite(commands)
         if not finite.all():
             self._held |= ~finite.all(axis=1)
@@ -94,7 +94,7 @@ class SafetyGovernor:
         np.maximum(slowest, self._speed - change, out=slowest)
         self._speed = np.minimum(np.maximum(wanted, slowest), fastest)
         self._last = np.minimum(np.maximum(self._last + self._speed * h, self._lower), self._upper)
-        return self._last
+        return self._last.copy()
 
     def state(self) -> dict[str, NDArray[np.generic]]:
         """Return copies of what the next commands depend on."""

@@ -62,7 +62,7 @@ class Gpayn(Policy):
         env_steps: int | None = None,
         demonstrations: int = 100,
         updates_per_step: float = 0.25,
-        hidden: int = 256,
+        hidden: int = 128,
         seed: int = 0,
     ) -> None:
         self.settings = TrainingSettings(
@@ -92,7 +92,8 @@ class Gpayn(Policy):
         shown = Replay(DEMONSTRATION_STEPS // worlds, worlds, *sizes)
         replay = Replay(REPLAY_STEPS // worlds, worlds, *sizes)
         trainer = Trainer(
-            env, self.sac, replay, self, self.settings, run_dir, exports=self.exports, demonstrations=shown, progress=progress
+            env, self.sac, replay, self, self.settings, run_dir,
+            exports=self.exports, demonstrations=shown, progress=progress,
         )  # fmt: skip
         if not trainer.resume():
             demonstrate(env, Demonstrations(), shown, self._episodes, progress)

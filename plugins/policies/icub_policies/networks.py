@@ -8,7 +8,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-LOG_STD_MIN, LOG_STD_MAX = -5.0, 1.0
+LOG_STD_MIN, LOG_STD_MAX = -5.0, -1.0
 LOG_2PI = math.log(2 * math.pi)
 
 
@@ -24,7 +24,7 @@ class Actor(nn.Module):
     """
 
     def __init__(
-        self, inputs: int, actions: int, hidden: int = 256, log_std: float = -1.0, zero_mean: bool = False
+        self, inputs: int, actions: int, hidden: int = 128, log_std: float = -2.7, zero_mean: bool = False
     ) -> None:
         super().__init__()
         self.layer1 = nn.Linear(inputs, hidden)
@@ -70,7 +70,7 @@ class Critics(nn.Module):
         count: Number of critics.
     """
 
-    def __init__(self, inputs: int, actions: int, hidden: int = 256, count: int = 2) -> None:
+    def __init__(self, inputs: int, actions: int, hidden: int = 128, count: int = 2) -> None:
         super().__init__()
         self._count, self._hidden = count, hidden
         self.weight1 = nn.Parameter(_uniform((inputs + actions, count * hidden), inputs + actions))

@@ -9,67 +9,81 @@ import platform
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from icub_core import registry
-from icub_core.errors import SimulationError
 from icub_core.evaluation.results import machine, versions
 from icub_core.files import write_text_atomically
 from icub_core.grasping.env import GraspEnv
-from icub_core.grasping.pool import StartPool
-from icub_core.grasping.task import GraspTask
+from icub_core.grasping.plan import GraspPlan
+from icub_core.grasping.task import GraspTask, StartState
 from icub_core.interfaces.policy import Progress
 from icub_core.scene import Scene
 from icub_policies.gpayn import Gpayn
 
 log = logging.getLogger(__name__)
 
-OBJECTS = 48
+OBJECTS = 32
 """Random objects, one world each."""
 OBJECT_SIZE = [0.09, 0.2]
 """Metres of their longest side, drawn in this range."""
-STARTS = 12
+STARTS = 10
 """Starts that a world keeps."""
 FIRST_STARTS = 3
+FIRST_POSES = 8
 DEMONSTRATIONS = 3 * OBJECTS
-UPDATES_PER_STEP = 0.06
-EVALUATE_EVERY = 100_000
+UPDATES_PER_STEP = 0.25
+EVALUATE_EVERY = 40_000
 NAME = "base_gpayn"
 
 
-def training_tasks(count: int, seed: int, progress: Progress) -> list[GraspTask]:
-    """Build one world for each of `count` graspable random objects that the planner finds grasps for."""
+def training_worlds(count: int, seed: int, progress: Progress) -> tuple[list[GraspTask], list[list[StartState]]]:
+    """Build one world for each of `count` random objects that are planned often enough, with their first starts."""
     robot = registry.build("robot", "icub")
     generator = registry.build("grasp_generator", "superquadrics")
     objects = registry.build("objects", {"plugin": "random1000", "size": OBJECT_SIZE, "graspable": True})
-    names = list(objects.names)
     tasks: list[GraspTask] = []
-    while names and len(tasks) < count:
-        name = names.pop(0)
+    starts: list[list[StartState]] = []
+    for name in objects.names:
         simulator = registry.build("simulator", "mujoco")
         simulator.load(robot.description, Scene(objects=(objects.get(name),)))
         task = GraspTask(simulator, robot, generator, [name], seed=seed + len(tasks))
-        try:
-            StartPool(task, 1, seed=seed).fill(1)
-        except SimulationError as error:
-            log.info("%s is left out: %s", name, error)
+        found = first_starts(task, name, np.random.default_rng([seed, len(tasks)]))
+        if len(found) < FIRST_STARTS:
+            log.info("%s is left out: only %d plans for %d poses", name, len(found), FIRST_POSES)
             simulator.close()
             continue
         tasks.append(task)
-        progress(0.0, f"{len(tasks)} of {count} objects have a world")
-    return tasks
+        starts.append(found)
+        progress(0.0, f"{len(tasks)} of {count} objects have a world and first plans")
+        if len(tasks) == count:
+            break
+    return tasks, starts
+
+
+def first_starts(task: GraspTask, name: str, rng: np.random.Generator) -> list[StartState]:
+    """Plan for a few random poses of one object; returns the starts that came of it, at most `FIRST_STARTS`."""
+    found: list[StartState] = []
+    for _ in range(FIRST_POSES):
+        rest = task.place(name, rng)
+        plan = task.plan(name)
+        if isinstance(plan, GraspPlan):
+            found.append(task.approach(plan, rest))
+            if len(found) == FIRST_STARTS:
+                break
+    return found
 
 
 def pretrain(run_dir: Path, seed: int, minutes: float, progress: Progress) -> None:
     """Train, or go on training, and write weights and card into `run_dir` whenever an evaluation is the best so far."""
-    tasks = training_tasks(OBJECTS, seed, progress)
+    tasks, starts = training_worlds(OBJECTS, seed, progress)
     env = GraspEnv(tasks, pool_size=STARTS, seed=seed)
+    for pool, found in zip(env.pools, starts, strict=True):
+        pool.starts.extend(found)
     policy = Gpayn(
         seconds=60 * minutes, demonstrations=DEMONSTRATIONS, updates_per_step=UPDATES_PER_STEP, seed=seed
     )  # fmt: skip
     policy.settings = replace(policy.settings, evaluate_every=EVALUATE_EVERY, evaluation_episodes=len(tasks))
     policy.exports = run_dir / f"{NAME}.safetensors"
-    for number, pool in enumerate(env.pools):
-        pool.fill(FIRST_STARTS)
-        progress(0.0, f"planned the first starts of {number + 1} of {len(tasks)} worlds")
     report = policy.learn(env, run_dir, progress)
     policy.save(policy.exports)
     card = {

@@ -29,7 +29,8 @@ class SacSettings:
         gamma: Discount of one control step.
         steps: n of the n-step returns.
         tau: Share of the way that target critics move at each update.
-        learning_rate: Of all optimisers (thesis 3e-4).
+        learning_rate: Of actor and entropy coefficient (thesis 3e-4).
+        critic_learning_rate: Of the critics (thesis 3e-4).
         batch: Transitions in an update.
         target_entropy: Nats.
         alpha: Entropy coefficient at the start.
@@ -39,15 +40,16 @@ class SacSettings:
     """
 
     gamma: float = 0.99
-    steps: int = 5
-    tau: float = 0.005
+    steps: int = 10
+    tau: float = 0.01
     learning_rate: float = 3e-4
+    critic_learning_rate: float = 1e-3
     batch: int = 256
     target_entropy: float = -22.5
-    alpha: float = 0.01
+    alpha: float = 0.002
     actor_every: int = 2
     reward_scale: float = 0.05
-    hidden: int = 256
+    hidden: int = 128
 
 
 class Sac:
@@ -73,9 +75,9 @@ class Sac:
         self.log_alpha = torch.tensor(settings.alpha).log().requires_grad_()
         self.generator = torch.Generator().manual_seed(seed)
         self.settings, self.residual, self._actions = settings, residual, actions
-        rate = settings.learning_rate
+        rate, critic_rate = settings.learning_rate, settings.critic_learning_rate
         self.actor_optimiser = torch.optim.Adam(self.actor.parameters(), lr=rate, fused=True)
-        self.critic_optimiser = torch.optim.Adam(self.critics.parameters(), lr=rate, fused=True)
+        self.critic_optimiser = torch.optim.Adam(self.critics.parameters(), lr=critic_rate, fused=True)
         self.alpha_optimiser = torch.optim.Adam([self.log_alpha], lr=rate)
         self.updates = 0
 

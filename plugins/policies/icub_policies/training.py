@@ -267,9 +267,10 @@ class Trainer:
         self._env.batch.firewall.ends = ends
         score, mean_return = results.success_rate, float(results.returns.mean())
         log.info(
-            "%d env steps, %d updates, %.0f s: evaluated %.3f (return %.1f, %.0f steps), exploring %.3f, alpha %.4f",
+            "%d env steps, %d updates, %.0f s: evaluated %.3f (return %.1f, %.0f steps, %s), exploring %.3f, alpha %.4f",
             count.env_steps, self._sac.updates, count.seconds, score, mean_return, results.steps.mean(),
-            np.mean(count.recent) if count.recent else float("nan"), self._sac.log_alpha.exp(),
+            results.ends(),
+            np.mean(count.recent) if count.recent else float("nan"), float(self._sac.log_alpha.detach().exp()),
         )  # fmt: skip
         if count.first_success < 0:
             count.first_success = score
