@@ -49,7 +49,7 @@ def random_surface(rng: np.random.Generator) -> Material:
 def random_lights(rng: np.random.Generator) -> tuple[Light, ...]:
     """Return one or two lamps somewhere above, of slightly warm or cold light, that together never overexpose."""
     count = int(rng.integers(1, 3))
-    brightness, shade = rng.uniform(0.4, 0.75), rng.uniform(0.15, 0.3)
+    brightness, shade = rng.uniform(0.45, 0.75), rng.uniform(0.2, 0.32)
     return tuple(_lamp(rng, brightness / count, shade / count) for _ in range(count))
 
 
