@@ -5,9 +5,9 @@ tangent plane at the point's radial projection, r = (G - 1) / |grad G| (see `Sup
 is held fixed during one Gauss-Newton step, so that the Jacobian of G alone, which is exact and cheap, is needed.
 Outliers: every point is an inlier with normal noise sigma or belongs to a uniform background; expectation gives its
 weight, maximisation is one damped least-squares step. Points on a surface do not say where it ends: a box grown on its
-hidden side still contains the visible ones. But a camera spreads its points evenly over the outline, so their likelihood
-falls with the outline's area, which ends the solid about one sigma behind the last point. And the solid reaches down to
-the table top when there is one.
+hidden side still contains the visible ones. But a camera spreads its points evenly over the outline, so the likelihood
+falls with the outline's area, which ends the solid about one sigma behind the last point. And the solid reaches down
+to the table top when there is one.
 
 Source: residual and size term after Solina and Bajcsy 1990 and thesis 12.3.1; mixture after Liu et al. 2022 (EMS).
 The released code behind the thesis minimises (F^e1 - 1)^2 by forward differences without any outlier model.
@@ -18,31 +18,37 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from icub_core.geometry import FloatArray
 from numpy.typing import NDArray
 
-from icub_grasp_generators.superquadrics.shape import EXPONENT_RANGE, Superquadric, nested_norm
-from icub_grasp_generators.superquadrics.start import (
-    Start,
-    box_in,
-    check_cloud,
-    free_rotations,
-    isolated,
-    thin,
-    upright_rotations,
+from icub_core.geometry import FloatArray
+from icub_grasp_generators.superquadrics.residuals import (
+    PARAMETERS,
+    Solids,
+    gauge_jacobian,
+    outline_area,
+    support_jacobian,
+    viewers,
 )
+from icub_grasp_generators.superquadrics.shape import EXPONENT_RANGE, Superquadric
+from icub_grasp_generators.superquadrics.start import MIN_POINTS, scale_of, starts, usable_sample
 
 _COARSE_POINTS = 130
-_COARSE_SIGMAS = (0.05, 0.05, 0.03, 0.03, 0.02, 0.02, 0.02, 0.02)  # of the object's size, one per step
+_COARSE_SIGMAS = (0.05, 0.05, 0.03, 0.03, 0.02, 0.02, 0.02)  # of the object's size, one per step
 _FINE_STEPS = 14
 _SIGMA_FLOOR = 0.004  # of the object's size
 _OUTLIER_AT = 3.0  # distance, in sigmas, at which inlier and outlier are equally likely
-_OUTLINE_WEIGHT = 0.4  # 1 is the likelihood itself; below, edges come closer to the last points
+_OUTLINE_WEIGHT = 0.5  # 1 is the likelihood itself, which ends a free edge sqrt(2) sigma inside its last points
+_LAST_STEPS = 4
+_LAST_OUTLINE_WEIGHT = 0.2
+_END = 0.015  # share of the points beyond the place where a face is moved in to
+_RETRACT_SIGMA = 0.015
+_AVERTED = 0.2  # of a normal against the mean of the visible normals
 _TABLE_WEIGHT = 0.3  # of the number of points
-_START_EXPONENTS = (0.4, 0.5)
-_CONVERGED = 1e-4  # step, in units of the object's size and radians
-_FLOOR = 1e-6  # least curvature, per point
-_N = 11  # centre 0:3, rotation 3:6, log half axes 6:9, exponents 9:11
+_CONVERGED = 3e-4  # step, in units of the object's size and radians
+_DAMPED = 0.1  # curvature, per point, that damping adds to every direction
+_LOW = np.array([-np.inf] * 3 + [np.log(0.02)] * 3 + [EXPONENT_RANGE[0]] * 2)
+_HIGH = np.array([np.inf] * 3 + [np.log(2.0)] * 3 + [EXPONENT_RANGE[1]] * 2)
+_DOWN = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,228 +68,185 @@ class SuperquadricFit:
     noise: float
 
 
-@dataclass
-class _State:
-    """A batch of S candidate solids in the normalised frame."""
+class _Problem:
+    """The cost of solids against one cloud, in the frame of the fit.
 
-    center: FloatArray  # (S, 3)
-    R: FloatArray  # (S, 3, 3)
-    log_half: FloatArray  # (S, 3)
-    exponents: FloatArray  # (S, 2)
+    Args:
+        points: (N, 3).
+        table: Height of the table, or None.
+    """
 
-    def take(self, index: NDArray[np.intp] | slice) -> _State:
-        return _State(self.center[index], self.R[index], self.log_half[index], self.exponents[index])
+    def __init__(self, points: FloatArray, table: float | None) -> None:
+        self.rows = np.ascontiguousarray(points.T)
+        self.count = len(points)
+        self._table = table
 
-    def moved(self, step: FloatArray, bounds: FloatArray) -> _State:
-        return _State(
-            self.center + step[:, :3],
-            self.R @ _rotations(step[:, 3:6]),
-            np.clip(self.log_half + step[:, 6:9], bounds[0], bounds[1]),
-            np.clip(self.exponents + step[:, 9:11], *EXPONENT_RANGE),
-        )
-
-    def choose(self, other: _State, take_other: NDArray[np.bool_]) -> _State:
-        flags = take_other[:, None]
-        return _State(
-            np.where(flags, other.center, self.center),
-            np.where(flags[..., None], other.R, self.R),
-            np.where(flags, other.log_half, self.log_half),
-            np.where(flags, other.exponents, self.exponents),
-        )
+    def terms(self, solids: Solids) -> _Terms:
+        """Evaluate distances and Jacobians."""
+        norm, J, slope = gauge_jacobian(solids, self.rows)
+        norm -= 1.0
+        norm /= slope
+        J /= slope[:, None]
+        if self._table is None:
+            return _Terms(norm, J, None, None)
+        root = np.sqrt(_TABLE_WEIGHT * self.count)
+        reach, J_table = support_jacobian(solids, _DOWN)
+        J_table *= -root
+        J_table[:, 2] += root
+        return _Terms(norm, J, root * (solids.center[:, 2] - reach - self._table), J_table)
 
 
 @dataclass
 class _Terms:
-    """Residuals and Jacobians of a batch at one state."""
+    """Distances r (S, N) of the points, the table's residual (S,), and Jacobians (S, 11, N), (S, 11)."""
 
-    r: FloatArray  # (S, N) distances
-    J: FloatArray  # (S, N, 11) with |grad G| held fixed
-    r_extra: FloatArray  # (S, K) the table term
-    J_extra: FloatArray  # (S, K, 11)
+    r: FloatArray
+    J: FloatArray
+    r_table: FloatArray | None
+    J_table: FloatArray | None
 
+    def replace(self, other: _Terms, index: NDArray[np.bool_]) -> None:
+        """Take over the rows `index` (S,) of `other`."""
+        self.r[index], self.J[index] = other.r[index], other.J[index]
+        if self.r_table is not None and self.J_table is not None:
+            self.r_table[index], self.J_table[index] = other.r_table[index], other.J_table[index]  # type: ignore[index]
 
-def _rotations(w: FloatArray) -> FloatArray:
-    """Rodrigues for a batch (S, 3) -> (S, 3, 3)."""
-    angle = np.linalg.norm(w, axis=1)[:, None, None]
-    K = np.zeros((len(w), 3, 3))
-    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -w[:, 2], w[:, 1], -w[:, 0]
-    K -= np.swapaxes(K, 1, 2)
-    return np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (K @ K)
+    def view(self, w: FloatArray) -> FloatArray:
+        """Return the weighted mean of the surface normals at the points (S, 3), of length 0..1.
 
+        Its direction stands for that of the viewer, which a cloud does not carry. Normals of a single view add up to
+        more than half; those of a cloud from all around cancel.
+        """
+        return -(self.J[:, :3] @ w[:, :, None])[..., 0] / np.maximum(w.sum(axis=1), 1.0)[:, None]
 
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross product along the last axis; several times faster than `np.cross` on small batches."""
-    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    out[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    out[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    out[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return out
-
-
-def gauge_jacobian(
-    points: FloatArray, center: FloatArray, R: FloatArray, half: FloatArray, exponents: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Evaluate G at points (N, 3) for a batch of S solids.
-
-    The eleven parameters are centre, rotation vector w of R exp([w]), log half axes, exponents.
-
-    Returns:
-        G (S, N), its Jacobian (S, N, 11), and |grad G| (S, N).
-    """
-    local = (points - center[:, None]) @ R
-    v = local / half[:, None]
-    s = 2.0 / exponents
-    norm, by_v, by_s1, by_s2 = nested_norm(v, s[:, :1], s[:, 1:])
-    by_local = by_v / half[:, None]
-    J = np.empty((*norm.shape, _N))
-    J[..., 0:3] = -(by_local @ np.swapaxes(R, 1, 2))
-    J[..., 3:6] = _cross(by_local, local)
-    J[..., 6:9] = -by_v * v
-    J[..., 9] = by_s1 * (-0.5 * s[:, :1] ** 2)
-    J[..., 10] = by_s2 * (-0.5 * s[:, 1:] ** 2)
-    return norm, J, np.sqrt(np.einsum("snk,snk->sn", by_local, by_local))
-
-
-def support_jacobian(
-    direction: FloatArray, R: FloatArray, half: FloatArray, exponents: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Evaluate how far S solids reach from their centres along `direction` (3,), unit, world.
-
-    Returns:
-        Reach (S,) and its Jacobian (S, 11) by the parameters of `gauge_jacobian`.
-    """
-    u = np.swapaxes(R, 1, 2) @ direction
-    v = half * u
-    q = 2.0 / (2.0 - exponents)
-    reach, by_v, by_q1, by_q2 = nested_norm(v, q[:, 0], q[:, 1])
-    J = np.zeros((len(reach), _N))
-    J[:, 3:6] = _cross(half * by_v, u)
-    J[:, 6:9] = by_v * v
-    J[:, 9] = by_q1 * 0.5 * q[:, 0] ** 2
-    J[:, 10] = by_q2 * 0.5 * q[:, 1] ** 2
-    return reach, J
-
-
-def outline_area(view: FloatArray, R: FloatArray, half: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Logarithm of the area of S solids' outlines seen along unit directions `view` (S, 3), up to a constant.
-
-    log (sum_i T_i^p)^(1/p) with T_i = |d_i| a_j a_k in the solid's axes: exact for boxes (p = 1) and ellipsoids (2).
-
-    Returns:
-        The logarithm (S,) and its Jacobian (S, 11) by the parameters of `gauge_jacobian`.
-    """
-    d = np.einsum("ski,sk->si", R, view)
-    face = np.roll(half, -1, axis=1) * np.roll(half, 1, axis=1)
-    p = power[:, None]
-    raised = (np.abs(d) * face + 1e-9) ** p
-    total = raised.sum(axis=1, keepdims=True)
-    J = np.zeros((len(half), _N))
-    by_d = np.sign(d) * face * (np.abs(d) * face + 1e-9) ** (p - 1.0) / total
-    J[:, 3:6] = _cross(by_d, d)
-    J[:, 6:9] = 1.0 - raised / total
-    return np.log(total[:, 0]) / power, J
-
-
-def _terms(state: _State, points: FloatArray, table: float | None) -> _Terms:
-    half = np.exp(state.log_half)
-    norm, J, slope = gauge_jacobian(points, state.center, state.R, half, state.exponents)
-    r = (norm - 1.0) / slope
-    J /= slope[..., None]
-    if table is None:
-        return _Terms(r, J, np.zeros((len(r), 0)), np.zeros((len(r), 0, _N)))
-    root = np.sqrt(_TABLE_WEIGHT * len(points))
-    reach, J_reach = support_jacobian(np.array([0.0, 0.0, -1.0]), state.R, half, state.exponents)
-    J_table = -root * J_reach
-    J_table[:, 2] += root
-    return _Terms(r, J, (root * (state.center[:, 2] - reach - table))[:, None], J_table[:, None])
-
-
-def _weights(r: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Probability that a point is surface, given its distance (S, N) and the noise (S,)."""
-    return 1.0 / (1.0 + np.exp(np.minimum(0.5 * ((r / sigma[:, None]) ** 2 - _OUTLIER_AT**2), 50.0)))
-
-
-def _outline(state: _State, view: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return outline_area(view, state.R, np.exp(state.log_half), 1.0 + np.minimum(state.exponents.prod(axis=1), 1.0))
-
-
-def _view(terms: _Terms, sigma: FloatArray) -> FloatArray:
-    """Direction to the viewer (S, 3), which a cloud does not carry: the mean of the visible normals."""
-    outward = -np.einsum("sn,snk->sk", _weights(terms.r, sigma), terms.J[..., :3])
-    return outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
-
-
-def _cost(state: _State, terms: _Terms, sigma: FloatArray, view: FloatArray) -> FloatArray:
-    """Negative log likelihood of the mixture, times sigma^2, plus the table term: (S,)."""
-    z = 0.5 * (_OUTLIER_AT**2 - (terms.r / sigma[:, None]) ** 2)
-    likelihood = np.logaddexp(0.0, z).sum(axis=1) - _OUTLINE_WEIGHT * terms.r.shape[1] * _outline(state, view)[0]
-    return -(sigma**2) * likelihood + 0.5 * (terms.r_extra**2).sum(axis=1)
-
-
-def _step(
-    state: _State, terms: _Terms, sigma: FloatArray, view: FloatArray, damping: FloatArray, bounds: FloatArray
-) -> FloatArray:
-    """One damped Gauss-Newton step (S, 11) that does not push parameters through their bounds."""
-    w = _weights(terms.r, sigma)
-    weighted = np.swapaxes(terms.J * w[..., None], 1, 2)
-    extra = np.swapaxes(terms.J_extra, 1, 2)
-    H = weighted @ terms.J + extra @ terms.J_extra
-    g = (weighted @ terms.r[..., None] + extra @ terms.r_extra[..., None])[..., 0]
-    g += (_OUTLINE_WEIGHT * sigma**2 * terms.r.shape[1])[:, None] * _outline(state, view)[1]
-    value = np.concatenate([state.log_half, state.exponents], axis=1)
-    low = np.concatenate([np.broadcast_to(bounds[0], (3,)), np.full(2, EXPONENT_RANGE[0])])
-    high = np.concatenate([np.broadcast_to(bounds[1], (3,)), np.full(2, EXPONENT_RANGE[1])])
-    stuck = np.zeros(g.shape, dtype=bool)
-    stuck[:, 6:] = ((value <= low) & (g[:, 6:] > 0)) | ((value >= high) & (g[:, 6:] < 0))
-    free = (~stuck).astype(float)
-    H = H * free[:, :, None] * free[:, None, :]
-    diagonal = np.einsum("sii->si", H)
-    # the floor keeps directions that nothing determines (the turn of a cylinder about its axis) at rest
-    diagonal += damping[:, None] * diagonal + _FLOOR * terms.r.shape[1] + stuck
-    return -np.linalg.solve(H, (g * free)[..., None])[..., 0]
+    def mixture(self, sigma: FloatArray, view: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the points' probabilities of being surface (S, N) and -sigma^2 times the log likelihood (S,)."""
+        odds = self.r / sigma[:, None]
+        odds *= odds
+        odds -= _OUTLIER_AT**2
+        odds *= -0.5
+        np.exp(odds, out=odds)
+        # a side that looks away was not seen: points near it are outliers, and must not pull it out to them
+        odds *= (view[:, None] @ self.J[:, :3])[:, 0] < _AVERTED
+        total = 1.0 + odds
+        cost = -(sigma**2) * np.log(total).sum(axis=1)
+        if self.r_table is not None:
+            cost += 0.5 * self.r_table**2
+        odds /= total
+        return odds, cost
 
 
 def _descend(
-    state: _State, points: FloatArray, table: float | None, bounds: FloatArray, sigmas: tuple[float, ...], fixed: bool
-) -> tuple[_State, _Terms, FloatArray]:
-    """Take one step per entry of `sigmas`; unless `fixed`, sigma is estimated from the weighted residuals instead."""
-    damping = np.full(len(state.center), 1e-2)
-    sigma = np.full(len(state.center), sigmas[0])
-    terms = _terms(state, points, table)
+    problem: _Problem, solids: Solids, sigmas: tuple[float, ...], outline: float, *, estimate: bool
+) -> tuple[Solids, FloatArray, FloatArray, FloatArray]:
+    """Improve a batch of solids, one damped step per entry of `sigmas`.
+
+    Args:
+        problem: The cloud.
+        solids: Where to start; overwritten.
+        sigmas: Noise of each step, or, with `estimate`, the least noise that may be estimated.
+        estimate: Estimate the noise from the weighted distances, and stop when the steps become small.
+
+    Returns:
+        The solids, their costs (S,), the points' weights (S, N), and the noise (S,).
+    """
+    damping = np.full(len(solids.R), 1e-2)
+    sigma = np.full(len(solids.R), sigmas[0])
+    terms = problem.terms(solids)
+    view = np.zeros((len(sigma), 3))
+    w, cost = terms.mixture(sigma, view)
     for limit in sigmas:
-        if fixed:
-            sigma = np.full(len(state.center), limit)
+        if estimate:
+            spread = np.sqrt(np.einsum("sn,sn,sn->s", w, terms.r, terms.r) / np.maximum(w.sum(axis=1), 1.0))
+            sigma = np.maximum(np.minimum(1.1 * spread, sigma), limit)
         else:
-            w = _weights(terms.r, sigma)
-            estimate = np.sqrt((w * terms.r**2).sum(axis=1) / np.maximum(w.sum(axis=1), 1.0))
-            sigma = np.clip(1.1 * estimate, limit, sigma)
-        view = _view(terms, sigma)
-        step = _step(state, terms, sigma, view, damping, bounds)
-        trial = state.moved(step, bounds)
-        trial_terms = _terms(trial, points, table)
-        better = _cost(trial, trial_terms, sigma, view) < _cost(state, terms, sigma, view)
-        state = state.choose(trial, better)
-        terms = _Terms(
-            np.where(better[:, None], trial_terms.r, terms.r),
-            np.where(better[:, None, None], trial_terms.J, terms.J),
-            np.where(better[:, None], trial_terms.r_extra, terms.r_extra),
-            np.where(better[:, None, None], trial_terms.J_extra, terms.J_extra),
-        )
+            sigma = np.full(len(solids.R), limit)
+        view = terms.view(w)
+        seen = view if estimate else np.zeros_like(view)
+        w, cost = terms.mixture(sigma, seen)
+        weighted = terms.J * w[:, None]
+        pull = (outline * problem.count) * sigma**2
+        viewer = viewers(solids, view)
+        area, J_area = outline_area(solids, viewer)
+        step = _step(solids, terms, weighted, pull[:, None] * J_area, damping)
+        trial = solids.moved(step, _LOW, _HIGH)
+        trial_terms = problem.terms(trial)
+        trial_w, trial_cost = trial_terms.mixture(sigma, seen)
+        better = trial_cost + pull * outline_area(trial, viewer)[0] < cost + pull * area
+        if better.all():
+            solids, terms, w, cost = trial, trial_terms, trial_w, trial_cost
+            if estimate and float(np.abs(step).max()) < _CONVERGED:
+                break
+        else:
+            solids.R[better], solids.vector[better] = trial.R[better], trial.vector[better]
+            terms.replace(trial_terms, better)
+            w[better], cost[better] = trial_w[better], trial_cost[better]
         damping = np.clip(np.where(better, damping * 0.2, damping * 8.0), 1e-7, 1e3)
-        if not fixed and bool(np.all(better)) and float(np.abs(step).max()) < _CONVERGED:
-            break
-    return state, terms, sigma
+    return solids, cost, w, sigma
 
 
-_AXIS_ORDERS = ([0, 1, 2], [1, 2, 0], [2, 0, 1])
+def _retract(problem: _Problem, solids: Solids, sigma: FloatArray) -> Solids:
+    """Move the faces of one solid in to where its points end, where that makes the cloud more likely.
+
+    A hidden face that has caught a few outliers is a local optimum that no small step leaves.
+    """
+    terms = problem.terms(solids)
+    w, _ = terms.mixture(sigma, np.zeros((1, 3)))
+    view = terms.view(w)
+    w, _ = terms.mixture(sigma, view)
+    viewer = viewers(solids, view)
+    local = solids.R[0].T @ (problem.rows[:, w[0] > 0.5] - solids.center[0][:, None])
+    if local.shape[1] < MIN_POINTS:
+        return solids
+    half = solids.half[0]
+    ends = np.quantile(local, [_END, 1.0 - _END], axis=1)  # (2, 3)
+    shifts = np.clip(np.stack([half + ends[0], half - ends[1]]), 0.0, 1.8 * half).ravel()  # of the six faces, inwards
+
+    def shrunk(chosen: FloatArray) -> Solids:
+        """Apply the shifts (6,) selected by the rows of `chosen` (V, 6)."""
+        low, high = chosen[:, :3] * shifts[:3], chosen[:, 3:] * shifts[3:]
+        vector = np.repeat(solids.vector, len(chosen), axis=0)
+        vector[:, :3] += (low - high) / 2 @ solids.R[0].T
+        vector[:, 3:6] = np.maximum(np.log(np.maximum(half - (low + high) / 2, 1e-3)), _LOW[3])
+        return Solids(np.repeat(solids.R, len(chosen), axis=0), vector)
+
+    def objective(variants: Solids) -> FloatArray:
+        views = np.repeat(view, len(variants.R), axis=0)
+        _, cost = problem.terms(variants).mixture(np.repeat(sigma, len(variants.R)), views)
+        return cost + _OUTLINE_WEIGHT * problem.count * sigma[0] ** 2 * outline_area(variants, np.repeat(viewer, len(variants.R), axis=0))[0]
+
+    single = np.concatenate([np.zeros((1, 6)), np.eye(6)])
+    costs = objective(shrunk(single))
+    improving = (costs[1:] < costs[0]).astype(float)
+    if not improving.any():
+        return solids
+    choices = np.stack([improving, single[1 + int(np.argmin(costs[1:]))]])
+    return_of = shrunk(choices)
+    best = int(np.argmin(objective(return_of)))
+    return Solids(return_of.R[best : best + 1], return_of.vector[best : best + 1])
 
 
-def _batch(starts: list[Start]) -> _State:
-    """Every start with each of its axes as the axis of revolution."""
-    center = np.repeat([s.center for s in starts], 3, axis=0)
-    R = np.stack([s.R[:, order] for s in starts for order in _AXIS_ORDERS])
-    half = np.stack([s.half[order] for s in starts for order in _AXIS_ORDERS])
-    return _State(center, R, np.log(half), np.tile(_START_EXPONENTS, (len(center), 1)))
+def _step(
+    solids: Solids, terms: _Terms, weighted: FloatArray, g_area: FloatArray, damping: FloatArray
+) -> FloatArray:
+    """One damped Gauss-Newton step (S, 11) that does not push parameters through their bounds."""
+    H = weighted @ terms.J.transpose(0, 2, 1)
+    g = (weighted @ terms.r[..., None])[..., 0]
+    g += g_area
+    if terms.r_table is not None and terms.J_table is not None:
+        H += terms.J_table[:, :, None] * terms.J_table[:, None]
+        g += terms.J_table * terms.r_table[:, None]
+    bounded, slope = solids.vector[:, 3:], g[:, 6:]
+    stuck = np.zeros(g.shape, dtype=bool)
+    stuck[:, 6:] = ((bounded <= _LOW[3:]) & (slope > 0)) | ((bounded >= _HIGH[3:]) & (slope < 0))
+    if stuck.any():
+        free = (~stuck).astype(float)
+        H *= free[:, :, None] * free[:, None]
+        g *= free
+    diagonal = H.reshape(len(H), -1)[:, :: PARAMETERS + 1]
+    # damping has an absolute part too: hidden sides have no curvature of their own, only the outline's pull
+    diagonal += damping[:, None] * (diagonal + _DAMPED * terms.r.shape[1]) + stuck
+    return -np.linalg.solve(H, g[..., None])[..., 0]
 
 
 def fit_superquadric(points: NDArray[np.floating], table_top: float | None = None) -> SuperquadricFit:
@@ -300,43 +263,28 @@ def fit_superquadric(points: NDArray[np.floating], table_top: float | None = Non
     Raises:
         DataError: The cloud has fewer than 20 points, is not finite, spans more than a metre, or lies on a line.
     """
-    points = np.asarray(points)
-    check_cloud(points)
-    sample = thin(points)
-    dense = sample[~isolated(sample)]
-    if len(dense) < len(sample) // 2:  # a cloud that is sparse everywhere
-        dense = sample
-    origin = np.median(dense, axis=0)
-    low, high = np.quantile(dense, [0.02, 0.98], axis=0)
-    size = float(np.linalg.norm(high - low)) / 2
-    sample, dense = (sample - origin) / size, (dense - origin) / size
+    sample = usable_sample(np.asarray(points))
+    origin, size = scale_of(sample)
+    sample -= origin
+    sample /= size
     table = None if table_top is None else (table_top - origin[2]) / size
-
-    probe = dense[:: max(1, len(dense) // _COARSE_POINTS)]
-    if table is None:
-        starts = [box_in(R, probe) for R in free_rotations(probe)[:2]]
-    else:
-        starts = [_down_to(box_in(R, probe), table) for R in upright_rotations(probe)[:2]]
-    bounds = np.log(np.array([0.02, 2.0]))
-    coarse = sample[:: max(1, len(sample) // _COARSE_POINTS)]
-    state, terms, sigma = _descend(_batch(starts), coarse, table, bounds, _COARSE_SIGMAS, fixed=True)
-    best = int(np.argmin(_cost(state, terms, sigma, _view(terms, sigma))))
-    fine = (_COARSE_SIGMAS[-1],) + (_SIGMA_FLOOR,) * _FINE_STEPS
-    state, terms, sigma = _descend(state.take(slice(best, best + 1)), sample, table, bounds, fine, fixed=False)
-    return _result(state, terms, sigma, origin, size)
-
-
-def _down_to(start: Start, table: float) -> Start:
-    """Extend an upright box down to the table."""
-    top = start.center[2] + start.half[2]
-    half = max((top - table) / 2, 1e-3)
-    return Start(start.R, np.array([start.center[0], start.center[1], top - half]), np.array([*start.half[:2], half]))
-
-
-def _result(state: _State, terms: _Terms, sigma: FloatArray, origin: FloatArray, size: float) -> SuperquadricFit:
-    w = _weights(terms.r, sigma)[0]
-    rms = float(np.sqrt((w * terms.r[0] ** 2).sum() / max(w.sum(), 1e-9)))
-    shape = Superquadric.from_parts(
-        np.exp(state.log_half[0]) * size, state.exponents[0], state.R[0], state.center[0] * size + origin
+    few = sample[:: max(1, len(sample) // _COARSE_POINTS)]
+    solids, cost, _, _ = _descend(_Problem(few, table), starts(few, table), _COARSE_SIGMAS, _OUTLINE_WEIGHT, estimate=False)
+    best = int(np.argmin(cost))
+    problem = _Problem(sample, table)
+    solids, _, w, sigma = _descend(
+        problem,
+        _retract(problem, Solids(solids.R[best : best + 1], solids.vector[best : best + 1]), np.array([_RETRACT_SIGMA])),
+        (_COARSE_SIGMAS[-1],) + (_SIGMA_FLOOR,) * _FINE_STEPS,
+        _OUTLINE_WEIGHT,
+        estimate=True,
     )
-    return SuperquadricFit(shape, rms * size, float(w.mean()), float(sigma[0]) * size)
+    # the pull has found the right side of every ambiguity; with less of it edges settle nearer to their last points
+    noise = float(sigma[0])
+    solids, _, w, sigma = _descend(problem, solids, (noise,) * _LAST_STEPS, _LAST_OUTLINE_WEIGHT, estimate=False)
+    shape = Superquadric.from_parts(
+        solids.half[0] * size, solids.exponents[0].copy(), solids.R[0], solids.center[0] * size + origin
+    )
+    distance = shape.distance(sample * size + origin)
+    rms = float(np.sqrt(np.dot(w[0], distance**2) / max(float(w.sum()), 1e-9)))
+    return SuperquadricFit(shape, rms, float(w.mean()), float(sigma[0]) * size)

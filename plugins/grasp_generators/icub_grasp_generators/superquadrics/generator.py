@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+import dataclasses
 import weakref
 
 import numpy as np
@@ -18,13 +18,13 @@ from icub_grasp_generators.superquadrics.fit import fit_superquadric
 from icub_grasp_generators.superquadrics.poses import clears_table, evaluate, family
 from icub_grasp_generators.superquadrics.shape import Superquadric
 
-logger = logging.getLogger(__name__)
+NAME = "superquadrics"
+BACK_OFF = (0.10, 0.05)
+"""Metres before the grasp where the hand must be able to stand too (thesis 12.3.1)."""
 
-_BACK_OFF = (0.10, 0.05)  # metres; thesis 12.3.1
 _MIN_INLIERS = 0.5
-_IK_ITERATIONS = 10  # one descent from home, no restarts: cheap enough for many candidates
-_POSITION_TOLERANCE = 2e-3
-_ORIENTATION_TOLERANCE = 0.02
+_CHUNK = 100  # candidates that go to inverse kinematics at once
+_IK_ITERATIONS = 40
 _POSTURE_WEIGHT = 0.1  # cost per rad^2 of distance from the home posture
 
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # the robot's plane of symmetry
@@ -46,7 +46,7 @@ class Superquadrics(GraspGenerator):
     passed over.
     """
 
-    def __init__(self, max_grasps: int = 5, max_tries: int = 80) -> None:
+    def __init__(self, max_grasps: int = 5, max_tries: int = 400) -> None:
         self._max_grasps = max_grasps
         self._max_tries = max_tries
         self._hands: weakref.WeakKeyDictionary[Robot, dict[str, HandGeometry]] = weakref.WeakKeyDictionary()
@@ -97,44 +97,48 @@ class Superquadrics(GraspGenerator):
         table: Table | None,
         hand: str,
     ) -> tuple[Grasp, ...]:
-        home = robot.description.home_q
-        found: list[tuple[float, Grasp]] = []
-        for T, c in zip(T_world_hand[: self._max_tries], cost[: self._max_tries], strict=True):
-            grasp = Grasp(T, center, -float(c), "superquadrics", hand)
-            posture = self._posture_cost(grasp, robot, geometry, table, home)
-            if posture is not None:
-                total = float(c) + _POSTURE_WEIGHT * posture
-                found.append((total, Grasp(T, center, -total, "superquadrics", hand)))
-                if len(found) >= 3 * self._max_grasps:
-                    break
-        found.sort(key=lambda pair: pair[0])
-        return tuple(grasp for _, grasp in found[: self._max_grasps])
+        """Return the best candidates (C, 4, 4) that the arm reaches on the whole way, ranked with their postures."""
+        found: list[Grasp] = []
+        for first in range(0, min(len(T_world_hand), self._max_tries), _CHUNK):
+            part = slice(first, min(first + _CHUNK, self._max_tries))
+            grasps = [
+                Grasp(T, center, -float(c), NAME, hand) for T, c in zip(T_world_hand[part], cost[part], strict=True)
+            ]
+            for distance in (0.0, *BACK_OFF):
+                grasps = self._at_distance(grasps, distance, robot, geometry, table)
+            found += grasps
+            if len(found) >= 2 * self._max_grasps:
+                break
+        found.sort(key=lambda grasp: -grasp.score)
+        return tuple(found[: self._max_grasps])
 
-    def _posture_cost(
-        self, grasp: Grasp, robot: Robot, geometry: HandGeometry, table: Table | None, home: FloatArray
-    ) -> float | None:
-        """Squared distance of the grasp's arm posture from home, or None when grasp or way to it cannot be reached."""
-        q = home
-        for T in (*(grasp.backed_off(d) for d in _BACK_OFF), grasp.T_world_hand):
-            solution = robot.inverse_kinematics(
-                T,
-                q,
-                geometry.frame,
-                group=f"{grasp.hand}_reach",
-                max_iterations=_IK_ITERATIONS,
-                position_tolerance=_POSITION_TOLERANCE,
-                orientation_tolerance=_ORIENTATION_TOLERANCE,
-            )
+    def _at_distance(
+        self, grasps: list[Grasp], distance: float, robot: Robot, geometry: HandGeometry, table: Table | None
+    ) -> list[Grasp]:
+        """Keep the grasps whose hand can be `distance` before its pose; at 0, their posture is added to the cost."""
+        poses = [grasp.backed_off(distance) if distance else grasp.T_world_hand for grasp in grasps]
+        grasps = [g for g, T in zip(grasps, poses, strict=True) if clears_table(geometry.hand.at(T), geometry.hand.radii, table)]
+        if not grasps:
+            return []
+        home = robot.description.home_q
+        solutions = robot.inverse_kinematics_batch(
+            [grasp.backed_off(distance) if distance else grasp.T_world_hand for grasp in grasps],
+            home,
+            geometry.frame,
+            group=f"{grasps[0].hand}_reach",
+            max_iterations=_IK_ITERATIONS,
+        )
+        kept = []
+        for grasp, solution in zip(grasps, solutions, strict=True):
             if not solution.reached:
-                return None
-            q = solution.q
-            if not clears_table(geometry.hand.at(T), geometry.hand.radii, table):
-                return None
+                continue
             if geometry.forearm_link is not None:
-                forearm = geometry.forearm.at(robot.forward_kinematics(q, geometry.forearm_link))
+                forearm = geometry.forearm.at(robot.forward_kinematics(solution.q, geometry.forearm_link))
                 if not clears_table(forearm, geometry.forearm.radii, table):
-                    return None
-        return float(np.sum((q - home) ** 2))
+                    continue
+            posture = float(np.sum((solution.q - home) ** 2)) if distance == 0.0 else 0.0
+            kept.append(dataclasses.replace(grasp, score=grasp.score - _POSTURE_WEIGHT * posture))
+        return kept
 
 
 def _mirrored(shape: Superquadric) -> Superquadric:

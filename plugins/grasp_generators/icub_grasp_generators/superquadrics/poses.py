@@ -4,9 +4,9 @@ The iCub's hand squeezes along its x axis, thumb against fingers; its palm looks
 the little one. Poses are therefore drawn from one family: x horizontal at angle a, and a roll phi about x that takes the
 palm from looking down (0) to looking sideways (90 degrees),
 
-    R(a, phi) = [(cos a, sin a, 0), (sin a, -cos a, 0), (0, 0, -1)] Rx(phi)   (columns of the first factor),
+    R(a, phi, theta) = [(cos a, sin a, 0), (sin a, -cos a, 0), (0, 0, -1)] Rx(phi) Ry(theta)   (columns of the first),
 
-with the palm a small gap in front of the solid, the solid's centre on the line between thumb and fingers, and a shift
+where theta dips the fingers, which reaches objects that are turned away from the arm, with the palm a small gap in front of the solid, the solid's centre on the line between thumb and fingers, and a shift
 along y. The hand is the right one; the left one is its mirror image (see `generator`).
 """
 
@@ -30,9 +30,10 @@ PALM_GAP = 0.004  # between palm surface and solid
 _PALM_Z = 0.001  # the palm's surface in the hand frame
 
 _YAW_STEP = np.radians(15.0)
-_YAWS = np.radians(np.arange(90.0, 300.0, 15.0))
-_YAW_OFFSETS = (0.0, 0.12, -0.12)
-_ROLLS = np.radians([-29.0, 0.0, 29.0, 46.0, 63.0, 77.0, 90.0])
+_YAWS = np.radians(np.arange(75.0, 331.0, 15.0))
+_YAW_OFFSETS = (0.0, 0.15, -0.15)
+_ROLLS = np.radians([-45.0, -29.0, 0.0, 29.0, 46.0, 63.0, 77.0, 90.0])
+_DIPS = np.radians([0.0, -15.0, -30.0])
 _SHIFTS = np.array([-0.04, -0.02, 0.0, 0.02, 0.04])  # along y
 
 _TABLE_CLEARANCE = 0.004
@@ -74,7 +75,7 @@ def family(shape: Superquadric) -> FloatArray:
     flat = np.stack(
         [np.stack([c, s, zero], -1), np.stack([s, -c, zero], -1), np.stack([zero, zero, zero - 1.0], -1)], axis=-1
     )
-    rolls = np.stack([rotation_about("x", phi) for phi in _ROLLS])
+    rolls = np.stack([rotation_about("x", phi) @ rotation_about("y", theta) for phi in _ROLLS for theta in _DIPS])
     R = (flat[:, None] @ rolls[None]).reshape(-1, 3, 3)
     reach, _ = shape.support(-R[:, :, 2])
     T = np.tile(np.eye(4), (len(R), len(_SHIFTS), 1, 1))
@@ -139,16 +140,8 @@ def _ray_cost(shape: Superquadric, T: FloatArray) -> FloatArray:
     # the last point inside is where a finger lands; its face should look along the finger's motion
     last = np.where(found, len(_RAY) - 1 - np.argmax(inside[..., ::-1], axis=2), 0)
     landing = np.take_along_axis(points.reshape(len(T), len(_FINGER_Y), len(_RAY), 3), last[..., None, None], axis=2)
-    square = np.abs(_along(shape, landing[:, :, 0], T[:, :3, 0]))
+    square = np.abs(np.einsum("cfk,ck->cf", shape.normals(landing[:, :, 0]), T[:, :3, 0]))
     return np.sum(np.where(found, 1.5 * (1.0 - square), 1.0), axis=1) / 2
-
-
-def _along(shape: Superquadric, points: FloatArray, axes: FloatArray) -> FloatArray:
-    """Cosine between the solid's normals at `points` (C, F, 3) and axes (C, 3): (C, F)."""
-    step = 1e-4
-    forward = np.stack([shape.gauge(points + step * e) - shape.gauge(points - step * e) for e in np.eye(3)], axis=-1)
-    forward /= np.maximum(np.linalg.norm(forward, axis=-1, keepdims=True), 1e-12)
-    return np.einsum("cfk,ck->cf", forward, axes)
 
 
 def _ellipsoid_points() -> FloatArray:

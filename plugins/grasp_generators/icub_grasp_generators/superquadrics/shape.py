@@ -13,7 +13,6 @@ Source: Solina and Bajcsy 1990 (inside-outside function); thesis 12.3.1 uses its
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from icub_core.errors import DataError
@@ -21,42 +20,55 @@ from icub_core.geometry import FloatArray, is_rigid, make_transform
 from numpy.typing import NDArray
 
 EXPONENT_RANGE = (0.05, 1.3)
-"""Lowest and highest exponent: below, edges are sharper than any sensor resolves; above, a diamond mimics a turned box."""
+"""Lowest and highest exponent: below, edges are sharper than sensors resolve; above, a diamond mimics a turned box."""
 
 _TINY = 1e-12
 
 
-def _two_norm(a: FloatArray, b: FloatArray, s: FloatArray) -> tuple[FloatArray, ...]:
+def _two_norm(a: FloatArray, b: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return (|a|^s + |b|^s)^(1/s) for a, b >= 0 and its derivatives by a, b and s, without overflow."""
     larger = np.maximum(a, b) + _TINY
-    t = np.maximum(np.minimum(a, b) / larger, _TINY)
+    t = np.minimum(a, b) / larger + _TINY
     log_t = np.log(t)
     power = np.exp(s * log_t)  # t^s
-    log_sum = np.log1p(power)
-    root = np.exp(log_sum / s)
+    total = 1.0 + power
+    log_root = np.log(total) / s
+    root = np.exp(log_root)
     norm = larger * root
-    d_larger = root / (1.0 + power)
-    d_smaller = power / t * d_larger
-    d_s = norm / s * (power * log_t / (1.0 + power) - log_sum / s)
+    d_larger = root / total
+    log_t *= power
+    log_t /= total
+    log_t -= log_root
+    log_t *= norm
+    log_t /= s  # now the derivative by s
+    power /= t
+    power *= d_larger  # now the derivative by the smaller
     a_is_larger = a >= b
-    return norm, np.where(a_is_larger, d_larger, d_smaller), np.where(a_is_larger, d_smaller, d_larger), d_s
+    return norm, np.where(a_is_larger, d_larger, power), np.where(a_is_larger, power, d_larger), log_t
 
 
-def nested_norm(v: FloatArray, s1: FloatArray, s2: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def nested_norm_rows(
+    v: FloatArray, s1: FloatArray, s2: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Evaluate N(v) = ((|v1|^s2 + |v2|^s2)^(s1/s2) + |v3|^s1)^(1/s1) and its derivatives.
 
     Args:
-        v: (..., 3).
-        s1, s2: Powers above 1, of a shape that broadcasts with v[..., 0].
+        v: (S, 3, N) S sets of N vectors, components in rows.
+        s1: (S, 1) powers above 1.
+        s2: (S, 1) powers above 1.
 
     Returns:
-        N (...), dN/dv (..., 3), dN/ds1 (...), dN/ds2 (...).
+        N (S, N), dN/dv (S, 3, N), dN/ds1 (S, N), dN/ds2 (S, N).
     """
     size = np.abs(v)
-    rho, rho_x, rho_y, rho_s = _two_norm(size[..., 0], size[..., 1], s2)
-    norm, by_rho, by_z, by_s1 = _two_norm(rho, size[..., 2], s1)
-    gradient = np.stack([by_rho * rho_x, by_rho * rho_y, by_z], axis=-1)
-    return norm, np.copysign(gradient, v), by_s1, by_rho * rho_s
+    rho, rho_x, rho_y, rho_s = _two_norm(size[:, 0], size[:, 1], s2)
+    norm, by_rho, by_z, by_s1 = _two_norm(rho, size[:, 2], s1)
+    gradient = np.empty_like(v)
+    np.multiply(by_rho, rho_x, out=gradient[:, 0])
+    np.multiply(by_rho, rho_y, out=gradient[:, 1])
+    gradient[:, 2] = by_z
+    rho_s *= by_rho
+    return norm, np.copysign(gradient, v, out=gradient), by_s1, rho_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,14 +98,21 @@ class Superquadric:
         """(3,) centre, world, metres."""
         return self.T_world_object[:3, 3]
 
-    @cached_property
-    def _powers(self) -> tuple[FloatArray, FloatArray]:
-        return np.asarray(2.0 / self.exponents[0]), np.asarray(2.0 / self.exponents[1])
+    def _norm(self, v: FloatArray, powers: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return N (...) and dN/dv (..., 3) at v (..., 3)."""
+        rows = np.ascontiguousarray(v.reshape(-1, 3).T)[None]
+        norm, gradient, _, _ = nested_norm_rows(rows, powers[None, :1], powers[None, 1:])
+        return norm[0].reshape(v.shape[:-1]), gradient[0].T.reshape(v.shape)
+
+    def _gauge(self, points: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
+        """Return G (...) and its gradient (..., 3) in the solid's axes."""
+        local = (np.asarray(points) - self.center) @ self.T_world_object[:3, :3]
+        norm, by_v = self._norm(local / self.half_axes, 2.0 / self.exponents)
+        return norm, by_v / self.half_axes
 
     def gauge(self, points: NDArray[np.floating]) -> FloatArray:
         """Return G (...) at world points (..., 3): below 1 inside, 1 on the surface, linear along every ray."""
-        local = (np.asarray(points) - self.center) @ self.T_world_object[:3, :3]
-        return nested_norm(local / self.half_axes, *self._powers)[0]
+        return self._gauge(points)[0]
 
     def distance(self, points: NDArray[np.floating]) -> FloatArray:
         """Return the signed distance (...), metres, of world points (..., 3) to the tangent plane they project to.
@@ -101,9 +120,14 @@ class Superquadric:
         The projection is along the ray from the centre: (G - 1) / |grad G|; negative inside. It is the Euclidean
         distance in front of flat faces and, to first order, everywhere near the surface.
         """
-        local = (np.asarray(points) - self.center) @ self.T_world_object[:3, :3]
-        norm, by_v, _, _ = nested_norm(local / self.half_axes, *self._powers)
-        return (norm - 1.0) / np.linalg.norm(by_v / self.half_axes, axis=-1)
+        norm, gradient = self._gauge(points)
+        return (norm - 1.0) / np.linalg.norm(gradient, axis=-1)
+
+    def normals(self, points: NDArray[np.floating]) -> FloatArray:
+        """Return the outward unit normals (..., 3), world, where the rays through world points (..., 3) leave."""
+        _, gradient = self._gauge(points)
+        gradient /= np.linalg.norm(gradient, axis=-1, keepdims=True)
+        return gradient @ self.T_world_object[:3, :3].T
 
     def support(self, directions: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
         """Return how far the solid reaches from its centre along unit world directions (..., 3), and where.
@@ -112,8 +136,7 @@ class Superquadric:
             Reach (...), metres, and the points (..., 3), world, that reach furthest.
         """
         R = self.T_world_object[:3, :3]
-        powers = 2.0 / (2.0 - self.exponents)
-        reach, by_v, _, _ = nested_norm(np.asarray(directions) @ R * self.half_axes, powers[0], powers[1])
+        reach, by_v = self._norm(np.asarray(directions) @ R * self.half_axes, 2.0 / (2.0 - self.exponents))
         return reach, self.center + (by_v * self.half_axes) @ R.T
 
     def surface(self, count: int = 1000) -> FloatArray:
@@ -124,7 +147,7 @@ class Superquadric:
         angle = np.pi * (1.0 + np.sqrt(5.0)) * k
         radius = np.sqrt(1.0 - z * z)
         unit = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-        unit /= nested_norm(unit, *self._powers)[0][:, None]
+        unit /= self._norm(unit, 2.0 / self.exponents)[0][:, None]
         return (unit * self.half_axes) @ self.T_world_object[:3, :3].T + self.center
 
     @classmethod

@@ -1,92 +1,95 @@
-"""From a raw cloud to starts of the fit: checks, thinning, isolated points, oriented boxes."""
+"""From a raw cloud to starts of the fit: checks, thinning, oriented boxes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from numpy.typing import NDArray
+
 from icub_core.errors import DataError
 from icub_core.geometry import FloatArray, quat_wxyz_to_matrix, rotation_about
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from icub_grasp_generators.superquadrics.residuals import Solids
 
 MIN_POINTS = 20
 MAX_EXTENT = 1.0
 """Metres. A larger cloud is a wall or a wrong unit, not something to take into a hand."""
 MIN_EXTENT = 1e-3
+_LINE = 0.02  # ratio of the second to the first principal deviation below which the points are a line
 
-_FIT_POINTS = 500
-_NEIGHBOUR = 4
-_ISOLATED = 3.0  # times the median distance to the 4th neighbour
-_TRIM = 0.01  # share cut off at both ends of an extent: isolated points were removed, some outliers remain
-_YAWS = 18
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """A box around the cloud: rotation (3, 3) whose columns are the axes, centre (3,), half extents (3,)."""
-
-    R: FloatArray
-    center: FloatArray
-    half: FloatArray
+FIT_POINTS = 500
+_TRIM = 0.06  # share cut off at both ends of an extent: outliers must not span the box
+_START_EXPONENTS = (0.4, 0.5)
+_AXIS_ORDERS = ([0, 1, 2], [1, 2, 0], [2, 0, 1])  # each axis in turn as the axis of revolution
+_YAWS = 12
+_FREE = 96
 
 
-def check_cloud(points: NDArray[np.floating]) -> None:
-    """Raise DataError, one line, unless `points` (N, 3) is a finite surface of the size of a graspable object."""
+def usable_sample(points: NDArray[np.floating]) -> FloatArray:
+    """Return at most 500 of the points (N, 3), always the same ones.
+
+    Raises:
+        DataError: One line, unless the points are finite and a surface of the size of a graspable object.
+    """
     if len(points) < MIN_POINTS:
         raise DataError(f"the cloud has {len(points)} points; a superquadric needs at least {MIN_POINTS}")
-    if not np.all(np.isfinite(points)):
-        bad = int(np.sum(~np.all(np.isfinite(points), axis=1)))
+    if not np.isfinite(points).all():
+        bad = int(np.sum(~np.isfinite(points).all(axis=1)))
         raise DataError(f"{bad} of the cloud's {len(points)} points are not finite; drop them before planning")
-    low, high = np.quantile(points, [0.1, 0.9], axis=0)
-    if float(np.max(high - low)) > MAX_EXTENT:
-        extent = float(np.max(high - low))
-        raise DataError(
-            f"the cloud extends over {extent:.3g} m; expected one object of at most {MAX_EXTENT} m, in metres"
-        )
-    spread = np.linalg.svd(points - np.median(points, axis=0), compute_uv=False) / np.sqrt(len(points))
-    if spread[0] < MIN_EXTENT:
-        raise DataError(f"all points of the cloud lie within {spread[0] * 1e3:.2g} mm; expected a surface")
-    if spread[1] < 0.02 * spread[0]:
+    if len(points) > FIT_POINTS:
+        points = points[np.random.default_rng(0).choice(len(points), size=FIT_POINTS, replace=False)]
+    sample = np.array(points, dtype=np.float64)
+    low, high = _extents(sample.T)
+    extent = float(np.max(high - low))
+    if extent > MAX_EXTENT:
+        raise DataError(f"the cloud extends over {extent:.3g} m; expected one object of at most {MAX_EXTENT} m")
+    deviation = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(sample.T)), 0.0))
+    if deviation[2] < MIN_EXTENT:
+        raise DataError(f"all points of the cloud lie within {deviation[2] * 1e3:.2g} mm; expected a surface")
+    if deviation[1] < _LINE * deviation[2]:
         raise DataError("the points of the cloud lie on one line; expected a surface")
+    return sample
 
 
-def thin(points: NDArray[np.floating], count: int = _FIT_POINTS) -> FloatArray:
-    """Return at most `count` of the points, always the same ones."""
-    if len(points) <= count:
-        return np.array(points, dtype=np.float64)
-    chosen = np.random.default_rng(0).choice(len(points), size=count, replace=False)
-    return np.array(points[np.sort(chosen)], dtype=np.float64)
-
-
-def isolated(points: FloatArray) -> NDArray[np.bool_]:
-    """Say which of the points (N, 3) are far from their neighbours: (N,) bool."""
-    distances, _ = cKDTree(points).query(points, k=_NEIGHBOUR + 1)
-    reach = distances[:, -1]
-    return reach > _ISOLATED * np.median(reach) + 1e-9
-
-
-def _extents(projected: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return trimmed low and high of coordinates (..., N, 3) along N: (..., 3) each."""
-    count = projected.shape[-2]
+def _extents(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return trimmed low and high (...) of coordinates (..., N)."""
+    count = rows.shape[-1]
     cut = int(_TRIM * count)
-    part = np.partition(projected, [cut, count - 1 - cut], axis=-2)
-    return part[..., cut, :], part[..., count - 1 - cut, :]
+    part = np.partition(rows, (cut, count - 1 - cut), axis=-1)
+    return part[..., cut], part[..., count - 1 - cut]
 
 
-def box_in(R: FloatArray, points: FloatArray) -> Start:
-    """Return the trimmed box around `points` (N, 3) along the columns of `R`."""
-    low, high = _extents(points @ R)
-    return Start(R, R @ (low + high) / 2, np.maximum((high - low) / 2, 1e-9))
+def scale_of(points: FloatArray) -> tuple[FloatArray, float]:
+    """Return the middle (3,) and half the diagonal of the trimmed box around points (N, 3)."""
+    low, high = _extents(points.T)
+    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
 
 
-def upright_rotations(points: FloatArray) -> FloatArray:
-    """Rotations about the vertical (18, 3, 3), the one with the smallest box around the points' footprint first."""
-    angles = np.arange(_YAWS) * (np.pi / 2 / _YAWS)
-    Rs = np.stack([rotation_about("z", angle) for angle in angles])
-    low, high = _extents(points @ Rs)
-    area = np.prod((high - low)[:, :2], axis=1)
-    return Rs[np.argsort(area, kind="stable")]
+def starts(points: FloatArray, table: float | None) -> Solids:
+    """Return six solids in boxes around points (N, 3): the two smallest boxes, each with every axis as the first.
+
+    Args:
+        points: In the frame of the fit, about one unit across.
+        table: Height of the table in that frame; boxes are then upright and reach down to it.
+    """
+    Rs = _UPRIGHT if table is not None else _principal(points) @ _SPREAD
+    low, high = _extents(Rs.transpose(0, 2, 1) @ points.T)
+    best = np.argsort(np.prod((high - low)[:, :2] if table is not None else high - low, axis=1), kind="stable")[:2]
+    Rs, low, high = Rs[best], low[best], high[best]
+    if table is not None:
+        low[:, 2] = np.minimum(table, high[:, 2] - 0.02)
+    center = (Rs @ ((low + high) / 2)[..., None])[..., 0]
+    half = np.maximum((high - low) / 2, 0.02)
+    vector = np.zeros((2, 3, 8))
+    vector[:, :, :3] = center[:, None]
+    vector[:, :, 3:6] = np.log(half[:, _AXIS_ORDERS])
+    vector[:, :, 6:] = _START_EXPONENTS
+    turned = np.stack([Rs[:, :, order] for order in _AXIS_ORDERS], axis=1)
+    return Solids(turned.reshape(6, 3, 3), vector.reshape(6, 8))
+
+
+def _principal(points: FloatArray) -> FloatArray:
+    """Principal axes (3, 3) of the points, right-handed."""
+    _, axes = np.linalg.eigh(np.cov(points.T))
+    return axes * np.array([1.0, 1.0, np.sign(np.linalg.det(axes))])
 
 
 def _spread_rotations(count: int) -> FloatArray:
@@ -100,13 +103,5 @@ def _spread_rotations(count: int) -> FloatArray:
     )
 
 
-_SPREAD = _spread_rotations(200)
-
-
-def free_rotations(points: FloatArray) -> FloatArray:
-    """Rotations (200, 3, 3), relative to the principal axes, smallest box around the points first."""
-    _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
-    principal = axes.T * np.array([1.0, 1.0, np.sign(np.linalg.det(axes))])
-    Rs = principal @ _SPREAD
-    low, high = _extents(points @ Rs)
-    return Rs[np.argsort(np.prod(high - low, axis=1), kind="stable")]
+_SPREAD = _spread_rotations(_FREE)
+_UPRIGHT = np.stack([rotation_about("z", k * np.pi / 2 / _YAWS) for k in range(_YAWS)])
