@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -264,6 +267,7 @@ def test_hands_close_around_objects_and_leave_on_one_side(half_extents):
         assert closing.min() < -half_extents[grip.closing]
 
 
+@settings(deadline=None)
 @given(st.integers(0, 5), st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1))
 def test_aiming_turns_one_direction_into_another(axis, target):
     direction = np.eye(3)[axis % 3] * (1 if axis < 3 else -1)
@@ -326,3 +330,16 @@ def test_bad_parameters_are_refused_at_once():
         RenderedTabletop(width=5)
     with pytest.raises(PluginError, match="Did you mean 'mujoco'"):
         RenderedTabletop(engine="mujocco")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("triton") is None, reason="Triton is not installed")
+def test_torch_can_load_its_compiler_after_a_frame_was_rendered():
+    # both Mesa and Triton bring an LLVM, and in the wrong order the process dies
+    code = (
+        "from icub_datasets.rendered.tabletop import RenderedTabletop\n"
+        "RenderedTabletop(frames=1, width=32, height=32)[0]\n"
+        "import triton\n"
+        "print('alive')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "alive", done.stderr[-300:]

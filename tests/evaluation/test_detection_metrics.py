@@ -257,6 +257,7 @@ boxes = st.tuples(st.integers(0, 20), st.integers(0, 15), st.integers(1, 12), st
 )
 
 
+@settings(deadline=None)
 @given(st.lists(boxes, min_size=1, max_size=4), st.lists(boxes, min_size=1, max_size=4))
 def test_box_and_mask_overlap_agree_on_rectangles(a, b):
     masks_a = [rectangle("a", *box).mask for box in a]
@@ -267,6 +268,7 @@ def test_box_and_mask_overlap_agree_on_rectangles(a, b):
     np.testing.assert_allclose(box_iou(np.array(b, dtype=float), np.array(a, dtype=float)), by_box.T)
 
 
+@settings(max_examples=50, deadline=None)
 @given(
     st.lists(st.lists(boxes, max_size=3), min_size=2, max_size=2),
     st.lists(st.lists(boxes, max_size=6), min_size=2, max_size=2),
@@ -280,9 +282,9 @@ def test_average_recall_is_the_area_under_recall(truth, proposals):
     if not len(best):
         assert math.isnan(average_recall(best))
         return
-    grid = np.linspace(0.5, 1.0, 2001)
+    grid = np.linspace(0.5, 1.0, 501)
     area = np.trapezoid([recall(best, t) for t in grid], grid) / 0.5
-    assert average_recall(best) == pytest.approx(area, abs=1e-3)
+    assert average_recall(best) == pytest.approx(area, abs=2e-3)
     assert (best_overlaps(stack(truth), stack(proposals), top=2) <= best).all()
 
 

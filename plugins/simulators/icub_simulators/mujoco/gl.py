@@ -5,8 +5,11 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import importlib
+import importlib.util
 import logging
 import os
+import sys
+from pathlib import Path
 from typing import Any
 
 from icub_core.errors import SimulationError
@@ -39,10 +42,13 @@ def make_context() -> Any:
         SimulationError: One line that says what to install.
     """
     backend = choose_backend()
+    _load_triton_first()
     # MuJoCo's own loader and PyOpenGL both read the environment when they are first used
     os.environ[VARIABLE] = backend
     if backend in _LIBRARIES:
         os.environ["PYOPENGL_PLATFORM"] = backend
+    # Mesa's software driver: handing a small picture to worker threads takes longer than drawing it
+    os.environ.setdefault("LP_NUM_THREADS", "0")
     try:
         module = importlib.import_module(f"mujoco.{backend}")
         context = module.GLContext(64, 64)  # pictures are drawn into a buffer of their own
@@ -52,6 +58,23 @@ def make_context() -> Any:
         raise SimulationError(f"cannot open an OpenGL context with {backend} ({reason}); try: {_INSTALL}") from error
     logger.debug("rendering with %s", backend)
     return context
+
+
+def _load_triton_first() -> None:
+    """Load Triton's library before Mesa's, where Triton is installed (it comes with torch).
+
+    Both contain an LLVM. Loaded after Mesa's software driver, Triton's binds to the driver's, and the process dies of
+    a segmentation fault, typically when `tensordict` is imported after the first picture was drawn. The other way
+    round both work. Only the library is loaded, not the package.
+    """
+    spec = importlib.util.find_spec("triton") if "triton" not in sys.modules else None
+    if spec is None or spec.origin is None:
+        return
+    for library in (Path(spec.origin).parent / "_C").glob("libtriton*.so"):
+        try:
+            ctypes.CDLL(str(library), mode=ctypes.RTLD_LOCAL)
+        except OSError as error:
+            logger.debug("Triton's library is left alone: %s", error)
 
 
 def _library_exists(backend: str) -> bool:
