@@ -140,9 +140,8 @@ class Events:
         heard = self._manager.get_hookcallers(listener) or []
         if not heard:
             self._manager.unregister(listener)
-            raise PluginError(
-                f"the listener {listener!r} listens to nothing; mark its methods with icub_core.hooks.listen"
-            )
+            name = type(listener).__name__
+            raise PluginError(f"the listener {name} listens to nothing; mark its methods with icub_core.hooks.listen")
 
     def wants(self, event: str) -> bool:
         """Whether anybody listens to `event`."""
@@ -164,9 +163,8 @@ class Events:
             except IcubError:
                 raise
             except Exception:
-                logger.warning(
-                    "listener %s failed at %s and is removed", implementation.plugin_name, event, exc_info=True
-                )
+                name = type(implementation.plugin).__name__
+                logger.warning("the listener %s failed at %s and is removed", name, event, exc_info=True)
                 self._manager.unregister(implementation.plugin)
 
     @contextmanager

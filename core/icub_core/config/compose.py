@@ -99,7 +99,8 @@ def one_line_errors() -> Iterator[None]:
 def _translated(error: BaseException) -> ConfigError:
     cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
     if not isinstance(cause, OmegaConfBaseException) or not cause.full_key:
-        return ConfigError(str(error).strip().splitlines()[0])
+        first = str(error).strip().splitlines()[0]
+        return ConfigError(f"{first}; to sweep over values add -m" if first.startswith("Ambiguous value") else first)
     path = str(cause.full_key)
     group, _, key = path.partition(".")
     parent = cause.parent_node

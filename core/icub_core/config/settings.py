@@ -68,8 +68,19 @@ def to_dataclass(node: DictConfig) -> Any:
         raise ConfigError(
             f"the node {node} is not typed; expected a group among {sorted({g for g, _ in TYPED_GROUPS})}"
         )
-    sequences = {f.name for f in dataclasses.fields(found) if str(f.type).startswith("tuple")}
-    return dataclasses.replace(found, **{name: tuple(getattr(found, name)) for name in sequences})
+    return _with_tuples(found)
+
+
+def _with_tuples(found: Any) -> Any:
+    """Turn the lists that OmegaConf gives into tuples where the dataclass, or one inside it, says tuple."""
+    changed = {}
+    for field in dataclasses.fields(found):
+        value = getattr(found, field.name)
+        if dataclasses.is_dataclass(value):
+            changed[field.name] = _with_tuples(value)
+        elif isinstance(value, list) and str(field.type).startswith("tuple"):
+            changed[field.name] = tuple(value)
+    return dataclasses.replace(found, **changed)
 
 
 def typed_group_node(group: str, option: str) -> DictConfig | None:
