@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
 from icub_core import registry
 from icub_core.evaluation.results import machine, versions
 from icub_core.files import write_text_atomically

@@ -64,7 +64,7 @@ class Resprect(Policy):
         settings = SacSettings(hidden=hidden, alpha=ENTROPY_COEFFICIENT)
         self.sac = Sac(PROPRIOCEPTIVE_SIZE, ACTION_SIZE, settings, residual=True, seed=seed)
         self.sac.load_critics(tensors, path)
-        self._settings = TrainingSettings(
+        self.settings = TrainingSettings(
             seconds=seconds,
             env_steps=env_steps,
             updates_per_step=updates_per_step,
@@ -84,7 +84,7 @@ class Resprect(Policy):
         worlds = len(env.batch)
         replay = Replay(REPLAY_STEPS // worlds, worlds, PROPRIOCEPTIVE_SIZE, ACTION_SIZE, base=True)
         trainer = Trainer(
-            env, self.sac, replay, self, self._settings, run_dir, base=self._base_action, progress=progress
+            env, self.sac, replay, self, self.settings, run_dir, base=self._base_action, progress=progress
         )  # fmt: skip
         trainer.resume()
         return trainer.run()

@@ -129,10 +129,15 @@ class Trainer:
         before = torch.get_float32_matmul_precision()
         torch.set_float32_matmul_precision("medium")  # oneDNN instead of MKL: faster on many CPUs, the same error there
         try:
-            self._plan_evaluation()
-            observation = self._env.observe() if self._resumed else self._env.reset()
-            if not self._resumed:
+            if self._resumed:
+                kept = self._env.batch.state()
+                self._plan_evaluation()
+                self._env.batch.restore(kept)
+                observation = self._env.observe()
+            else:
+                self._plan_evaluation()
                 self._warm_up()
+                observation = self._env.reset()
             saved = time.monotonic()
             while not self._finished():
                 if self._count.env_steps >= self._count.next_evaluation:

@@ -1,0 +1,45 @@
+"""Small real worlds and files of weights for the tests of the policies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from icub_core import registry
+from icub_core.grasping.env import GraspEnv
+from icub_core.grasping.task import GraspTask, TaskSettings
+from icub_core.scene import Scene
+from icub_policies.gpayn import Gpayn
+
+
+@pytest.fixture(scope="session")
+def make_env() -> Iterator[Callable[..., GraspEnv]]:
+    """Build an environment of one meat can a world, with short episodes."""
+    simulators = []
+    robot = registry.build("robot", "icub")
+    generator = registry.build("grasp_generator", "superquadrics")
+    can = registry.build("objects", "ycb_primitives").get("010_potted_meat_can")
+
+    def make(worlds: int = 1, max_steps: int = 12, pool_size: int = 1) -> GraspEnv:
+        tasks = []
+        for world in range(worlds):
+            simulator = registry.build("simulator", "mujoco")
+            simulator.load(robot.description, Scene(objects=(can,)))
+            simulators.append(simulator)
+            settings = TaskSettings(max_steps=max_steps)
+            tasks.append(GraspTask(simulator, robot, generator, [can.name], settings=settings, seed=world))
+        return GraspEnv(tasks, pool_size=pool_size)
+
+    yield make
+    for simulator in simulators:
+        simulator.close()
+
+
+@pytest.fixture
+def base_file(tmp_path: Path) -> Path:
+    """Weights of an untrained, small base policy."""
+    path = tmp_path / "base.safetensors"
+    Gpayn(hidden=16, seed=3).save(path)
+    return path
