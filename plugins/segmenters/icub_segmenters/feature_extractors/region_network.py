@@ -85,6 +85,11 @@ def as_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image[..., :3]
 
 
+def _inside(boxes: torch.Tensor, height: int, width: int) -> torch.Tensor:
+    """Clip boxes (N, 4) to an image, against rounding too."""
+    return torch.minimum(boxes.clamp(min=0), torch.tensor([width, height] * 2, dtype=boxes.dtype))
+
+
 class RegionExtractor(FeatureExtractor):
     """A feature extractor on a `RegionNetwork`."""
 
@@ -131,7 +136,8 @@ class RegionExtractor(FeatureExtractor):
         image = torch.from_numpy(np.ascontiguousarray(rgb)).permute(2, 0, 1).float()
         content, boxes, scores = self._network.run(image)
         factors = torch.tensor([w / width, h / height] * 2)
-        return ImageFeatures(_Maps(content, factors, (h, w)), (height, width), boxes / factors, scores)
+        proposals = _inside(boxes / factors, height, width)
+        return ImageFeatures(_Maps(content, factors, (h, w)), (height, width), proposals, scores)
 
     def scaled(self, features: ImageFeatures, boxes: torch.Tensor) -> tuple[Any, torch.Tensor]:
         """Boxes (N, 4) in working pixels, checked."""
@@ -173,8 +179,7 @@ class RegionExtractor(FeatureExtractor):
     def refined_boxes(self, features: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
         """Boxes (N, 4), original pixels, after the pre-trained class-agnostic refinement, inside the image."""
         out = self._in_parts(self._network.refine, features, boxes, (4,)) / features.maps.factors
-        height, width = features.image_size
-        return torch.stack([out[:, i].clamp(0, width if i % 2 == 0 else height) for i in range(4)], dim=1)
+        return _inside(out, *features.image_size)
 
     @torch.no_grad()
     def rpn_cells(self, features: ImageFeatures) -> RpnCells | None:
