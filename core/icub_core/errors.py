@@ -6,6 +6,10 @@ import difflib
 from collections.abc import Iterable
 
 
+MOST_NAMES = 30
+"""Names that a message lists; an object set may have a thousand."""
+
+
 class IcubError(Exception):
     """Base of all errors raised on purpose; the command line prints its message without a traceback."""
 
@@ -57,4 +61,5 @@ def unknown_name(what: str, name: str, known: Iterable[str]) -> str:
         known: The names that would have been valid.
     """
     names = sorted(known)
-    return f"no {what} named '{name}'.{suggestion(name, names)} Known: {', '.join(names) or 'none'}"
+    listed = ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
+    return f"no {what} named '{name}'.{suggestion(name, names)} Known: {listed or 'none'}"

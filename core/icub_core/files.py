@@ -1,4 +1,4 @@
-"""Writing files so that a full disk or a killed process never leaves half of one."""
+"""Where generated files go, and writing them so that a full disk or a killed process never leaves half of one."""
 
 from __future__ import annotations
 
@@ -8,6 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from icub_core.errors import CheckpointError
+
+
+def cache_dir() -> Path:
+    """Return where generated files are kept: ``$ICUB_CACHE``, else ``icub-kit`` in the user's cache folder (XDG)."""
+    chosen = os.environ.get("ICUB_CACHE")
+    return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "icub-kit"
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:

@@ -79,7 +79,7 @@ def test_an_unwritable_cache_is_one_clear_line(tmp_path, monkeypatch):
     blocked = tmp_path / "file"
     blocked.write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
-    with pytest.raises(DataError, match="set XDG_CACHE_HOME"):
+    with pytest.raises(DataError, match="set ICUB_CACHE"):
         describe()
 
 

@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 from icub_core.errors import CheckpointError, DataError
-from icub_core.files import write_bytes_atomically
-
-
-def cache_dir() -> Path:
-    """Return ``$XDG_CACHE_HOME/icub-kit``, or ``~/.cache/icub-kit``."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "icub-kit"
+from icub_core.files import cache_dir, write_bytes_atomically
 
 
 def store_text(text: str, stem: str, suffix: str) -> Path:
@@ -61,4 +54,4 @@ def _write(path: Path, content: bytes) -> None:
         write_bytes_atomically(path, content)
     except CheckpointError as error:
         reason = str(error).split("; ")[0]
-        raise DataError(f"{reason}; set XDG_CACHE_HOME to a folder that can be written") from error
+        raise DataError(f"{reason}; set ICUB_CACHE to a folder that can be written") from error

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.files import write_atomically
+from icub_core.files import cache_dir, write_atomically
 
 Arrays = dict[str, NDArray]
 
 
 def cache_folder(name: str) -> Path:
-    """Return (and make) the folder `name` under ``$XDG_CACHE_HOME/icub-kit``, or ``~/.cache/icub-kit``."""
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    folder = root / "icub-kit" / name
+    """Return (and make) the folder `name` in the cache folder of the framework."""
+    folder = cache_dir() / name
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import DataError
+from icub_core.files import cache_dir
 from icub_datasets.feature_task.renderer import FeatureTaskRenderer, LabelledImage
 
 log = logging.getLogger(__name__)
@@ -33,8 +34,8 @@ Progress = Callable[[int, int], None]
 
 
 def default_folder() -> Path:
-    """Where frames go unless the user names a folder: below XDG_CACHE_HOME or ~/.cache."""
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "icub-kit" / "feature_task"
+    """Where frames go unless the user names a folder."""
+    return cache_dir() / "feature_task"
 
 
 def _shard_path(folder: Path, split: str, index: int) -> Path:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import os
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import CheckpointError
-from icub_core.files import write_atomically
+from icub_core.files import cache_dir, write_atomically
 
 logger = logging.getLogger(__name__)
 
@@ -101,7 +100,7 @@ class FrameStore:
     """
 
     def __init__(self, key: str) -> None:
-        self._folder = cache_root() / "rendered" / key
+        self._folder = cache_dir() / "rendered" / key
         self._writable = True
 
     def get(self, index: int) -> StoredFrame | None:
@@ -150,12 +149,6 @@ class FrameStore:
 
     def _path(self, index: int) -> Path:
         return self._folder / f"{index:06d}.npz"
-
-
-def cache_root() -> Path:
-    """Return ``$ICUB_CACHE``, or ``icub-kit`` in the user's cache folder."""
-    chosen = os.environ.get("ICUB_CACHE")
-    return Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "icub-kit"
 
 
 def _encode(image: NDArray[Any]) -> NDArray[np.uint8]:
