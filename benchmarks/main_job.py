@@ -1,6 +1,6 @@
 """The main job, as a newcomer types it, for several seeds: figures of every stage and the wall time of the whole.
 
-    icub benchmark main_job [--seeds 3]
+icub benchmark main_job [--seeds 3]
 """
 
 from __future__ import annotations
