@@ -21,17 +21,18 @@ LIGHT_DISTANCE = 2.5
 """Metres from the middle of the scene at which the shadow map of a directional light starts."""
 
 TABLE, FLOOR, BACKDROP = "look/table", "look/floor", "look/backdrop"
+PLAIN = "/plain"
+"""Suffix of the untextured twin of a material: in software, texturing doubles the time of a small picture."""
 
 
 def dress(spec: mujoco.MjSpec, scene: Scene) -> None:
     """Give everything in the specification its material, and add lights and backdrop."""
     _set_visual(spec)
     _add_material(spec, FLOOR, scene.floor, mujoco.mjtTexture.mjTEXTURE_2D, TEXTURE_SIZE).texrepeat = [FLOOR_TILES] * 2
-    spec.geom(FLOOR_GEOM).material = FLOOR
+    _add_material(spec, FLOOR + PLAIN, scene.floor, mujoco.mjtTexture.mjTEXTURE_2D, 0)
     if scene.table is not None:
         _add_material(spec, TABLE, scene.table.material, mujoco.mjtTexture.mjTEXTURE_CUBE, TEXTURE_SIZE)
-        for geom in spec.body(TABLE_BODY).geoms:
-            geom.material = TABLE
+        _add_material(spec, TABLE + PLAIN, scene.table.material, mujoco.mjtTexture.mjTEXTURE_CUBE, 0)
     _add_texture(spec, BACKDROP, TEXTURE_SIZE, mujoco.mjtTexture.mjTEXTURE_SKYBOX)
     for item in scene.objects:
         name = f"look/{item.name}"
@@ -76,10 +77,10 @@ def _add_texture(spec: mujoco.MjSpec, name: str, size: int, kind: mujoco.mjtText
 
 def fill_textures(model: mujoco.MjModel, scene: Scene) -> None:
     """Put the scene's images into a compiled model."""
-    set_texture(model, FLOOR, image_of(scene.floor, TEXTURE_SIZE))
+    set_surface(model, FLOOR, scene.floor)
     set_texture(model, BACKDROP, backdrop_image(scene.backdrop))
     if scene.table is not None:
-        set_texture(model, TABLE, image_of(scene.table.material, TEXTURE_SIZE))
+        set_surface(model, TABLE, scene.table.material)
     for item in scene.objects:
         if item.material.texture is not None:
             set_texture(model, f"look/{item.name}", item.material.texture)
@@ -104,11 +105,17 @@ def backdrop_image(look: Material) -> NDArray[np.uint8]:
     return (image_of(look, TEXTURE_SIZE) * np.asarray(look.rgba[:3])).astype(np.uint8)
 
 
-def set_material(model: mujoco.MjModel, name: str, look: Material) -> int:
-    """Change a material and its texture in a compiled model; return the texture's number, to be uploaded."""
-    material = model.material(name).id
-    model.mat_rgba[material] = look.rgba
-    model.mat_specular[material], model.mat_shininess[material] = look.specular, look.shininess
+def set_surface(model: mujoco.MjModel, name: str, look: Material) -> int:
+    """Change the look of the table or the floor in a compiled model; return its texture's number, to be uploaded."""
+    for variant in (name, name + PLAIN):
+        material = model.material(variant).id
+        model.mat_rgba[material] = look.rgba
+        model.mat_specular[material], model.mat_shininess[material] = look.specular, look.shininess
+    chosen = model.material(name if look.texture is not None else name + PLAIN).id
+    if name == FLOOR:
+        model.geom_matid[model.geom(FLOOR_GEOM).id] = chosen
+    else:
+        model.geom_matid[model.geom_bodyid == model.body(TABLE_BODY).id] = chosen
     return set_texture(model, name, image_of(look, TEXTURE_SIZE))
 
 

@@ -24,11 +24,13 @@ from icub_simulators.mujoco.looks import (
     dress,
     fill_textures,
     set_lights,
-    set_material,
+    set_surface,
     set_texture,
 )
 
 FloatArray = NDArray[np.float64]
+
+_Frustum = tuple[FloatArray, FloatArray]
 
 _PARKED_GROUP = 5
 _SHOWN_GROUPS = (0, 1, 2)
@@ -62,11 +64,13 @@ class Renderer:
         self._contexts: dict[bool, mujoco.MjrContext] = {}
         self._buffer = _FIRST_BUFFER
         self._group = self.model.geom_group.copy()
+        self._radius = np.where(self.model.geom_rbound > 0, self.model.geom_rbound, np.inf)  # planes end nowhere
         bodies = [self.model.body(OBJECT_PREFIX + item.name).id for item in scene.objects]
         self._geoms_of = [np.nonzero(self.model.geom_bodyid == body)[0] for body in bodies]
         self._object_of_geom = np.full(self.model.ngeom + 1, -1, np.int32)
         for number, geoms in enumerate(self._geoms_of):
             self._object_of_geom[geoms] = number
+        self._flat_backdrop = _flat_color(scene.backdrop)
         self._center = np.array([-0.4, 0.0, scene.table.top if scene.table is not None else 0.0])
         fill_textures(self.model, scene)
         set_lights(self.model, scene.lights, self._center)
@@ -80,7 +84,7 @@ class Renderer:
             raise SimulationError(
                 f"a picture of {width} x {height} was asked for; expected 1 to {_LARGEST_SIDE} a side"
             )
-        self._pose(qpos, parked)
+        self._pose(qpos, parked, None if shadows else _frustum(view, width / height))
         self._aim(view, width, height)
         rgb, depth = self._draw(PRETTY if shadows else PLAIN, width, height, ids=False)
         objects = None
@@ -101,11 +105,11 @@ class Renderer:
     ) -> None:
         """Change what is given; see the simulator's interface."""
         changed = []
-        if table is not None:
-            changed.append(set_material(self.model, TABLE, table))
-        if floor is not None:
-            changed.append(set_material(self.model, FLOOR, floor))
+        for name, look in ((TABLE, table), (FLOOR, floor)):
+            if look is not None:
+                changed.append(set_surface(self.model, name, look))
         if backdrop is not None:
+            self._flat_backdrop = _flat_color(backdrop)
             changed.append(set_texture(self.model, BACKDROP, backdrop_image(backdrop)))
         if lights is not None:
             if len(lights) > self.model.nlight:
@@ -129,7 +133,11 @@ class Renderer:
         self._gl.free()
         self._gl = None
 
-    def _pose(self, qpos: FloatArray, parked: NDArray[np.bool_]) -> None:
+    def _pose(self, qpos: FloatArray, parked: NDArray[np.bool_], frustum: _Frustum | None) -> None:
+        """Bring the drawn scene up to date; with a frustum, leave out what the camera cannot see.
+
+        Without shadows nothing outside of the picture can change it, and most of the robot is behind its own camera.
+        """
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self._data)
         mujoco.mj_camlight(self.model, self._data)
@@ -137,6 +145,10 @@ class Renderer:
         group[:] = self._group
         for number in np.nonzero(parked)[0]:
             group[self._geoms_of[number]] = _PARKED_GROUP
+        if frustum is not None:
+            normals, offsets = frustum
+            beyond = self._data.geom_xpos @ normals.T - offsets > self._radius[:, None]  # (ngeom, 4)
+            group[beyond.any(axis=1)] = _PARKED_GROUP
         mujoco.mjv_updateScene(
             self.model, self._data, self._options, None, self._camera, int(mujoco.mjtCatBit.mjCAT_ALL), self._scene
         )
@@ -164,7 +176,8 @@ class Renderer:
         flags[int(mujoco.mjtRndFlag.mjRND_SHADOW)] = style is PRETTY
         flags[int(mujoco.mjtRndFlag.mjRND_REFLECTION)] = 0
         flags[int(mujoco.mjtRndFlag.mjRND_HAZE)] = 0
-        flags[int(mujoco.mjtRndFlag.mjRND_SKYBOX)] = not ids
+        fill = self._flat_backdrop if style is PLAIN and not ids else None
+        flags[int(mujoco.mjtRndFlag.mjRND_SKYBOX)] = fill is None and not ids
         flags[int(mujoco.mjtRndFlag.mjRND_SEGMENT)] = ids
         flags[int(mujoco.mjtRndFlag.mjRND_IDCOLOR)] = ids
         viewport = mujoco.MjrRect(0, 0, width, height)
@@ -174,8 +187,13 @@ class Renderer:
         mujoco.mjr_readPixels(rgb, raw, viewport, context)
         near, far = np.float32(self._scene.camera[0].frustum_near), np.float32(self._scene.camera[0].frustum_far)
         depth = near * far / (near + raw[::-1] * (far - near))  # 1 is near, 0 is far
-        depth[depth > 0.99 * far] = 0.0
-        return np.ascontiguousarray(rgb[::-1]), depth
+        rgb = np.ascontiguousarray(rgb[::-1])
+        nothing = depth > 0.99 * far
+        if nothing.any():
+            depth[nothing] = 0.0
+            if fill is not None:
+                rgb[nothing] = fill
+        return rgb, depth
 
     def _objects(self, codes: NDArray[np.uint8]) -> NDArray[np.int32]:
         """Turn the colours of a segmentation pass into object numbers."""
@@ -205,3 +223,19 @@ class Renderer:
         context = self._contexts[style]
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
         return context
+
+
+def _frustum(view: CameraView, aspect: float) -> _Frustum:
+    """Return normals (4, 3) and offsets (4,) of the picture's edge planes, world frame: n x > offset outside."""
+    half_y = 0.5 * view.fovy
+    half_x = np.arctan(np.tan(half_y) * aspect)
+    sx, cx, sy, cy = np.sin(half_x), np.cos(half_x), np.sin(half_y), np.cos(half_y)
+    in_camera = np.array([[cx, 0.0, -sx], [-cx, 0.0, -sx], [0.0, cy, -sy], [0.0, -cy, -sy]])
+    T = view.T_world_camera
+    normals = in_camera @ T[:3, :3].T
+    return normals, normals @ T[:3, 3]
+
+
+def _flat_color(look: Material) -> NDArray[np.uint8] | None:
+    """Return the colour (3,) of a backdrop without texture: filling pixels in is faster than drawing a sky box."""
+    return backdrop_image(look)[0, 0] if look.texture is None else None
