@@ -59,6 +59,8 @@ class CompactRegions(RegionNetwork):
             mask_size: 28 as trained, or 14 (the average of 2 x 2 pixels).
         """
         self._network = fold_batch_norm(network.eval().requires_grad_(False))
+        for part in (self._network.backbone, self._network.rpn):  # convolutions are a quarter faster this way
+            part.to(memory_format=torch.channels_last)
         self._center, self._scale = center, scale
         self._image_size = image_size
         self.mask_size = mask_size
@@ -73,7 +75,8 @@ class CompactRegions(RegionNetwork):
         batch = image[None]
         pyramid, low, boxes, scores = self._network.propose(batch)
         colours = functional.avg_pool2d(batch / 255.0, 4, ceil_mode=True, count_include_pad=False)
-        maps = _CompactMaps(pyramid, low, colours, (image.shape[1], image.shape[2]))
+        whole = {name: level.contiguous() for name, level in pyramid.items()}  # once, and not at every pooling
+        maps = _CompactMaps(whole, low.contiguous(), colours, (image.shape[1], image.shape[2]))
         return maps, boxes, scores
 
     def _pooled(self, maps: _CompactMaps, boxes: torch.Tensor) -> torch.Tensor:
@@ -83,7 +86,7 @@ class CompactRegions(RegionNetwork):
         """The five blocks (N, 816) before centring and scaling."""
         pooled = self._pooled(maps, boxes)
         first, second = self._network.roi_heads.box_head.layers(pooled)
-        low = roi_align(maps.low.contiguous(), [boxes], LOW_GRID, 0.25, sampling_ratio=4, aligned=True)
+        low = roi_align(maps.low, [boxes], LOW_GRID, 0.25, sampling_ratio=4, aligned=True)
         colours = roi_align(maps.colours, [boxes], COLOUR_GRID, 0.25, sampling_ratio=2, aligned=True)
         return torch.cat([first, second, pooled.mean((2, 3)), low.flatten(1), colours.flatten(1)], dim=1)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import islice
-from typing import Any, cast
+from typing import cast
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from icub_core.data import Instance
 from icub_core.evaluation.detection import evaluate_instances
 from icub_core.evaluation.proposals import average_recall, best_overlaps, recall
 from icub_core.interfaces.dataset import Dataset
+from icub_core.interfaces.feature_extractor import FeatureExtractor
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn, CompactRegions
 
 SCORE_THRESHOLD, NMS_IOU, MOST_DETECTIONS = 0.05, 0.5, 50
@@ -61,10 +62,40 @@ def detect(extractor: CompactMaskRcnn, rgb: NDArray[np.uint8], classes: tuple[st
     )
 
 
-def evaluate(
-    extractor: CompactMaskRcnn, data: Dataset, frames: int, progress: Callable[[float], None] = lambda share: None
+Progress = Callable[[float], None]
+
+
+def proposal_recall(
+    extractor: FeatureExtractor, data: Dataset, frames: int, progress: Progress = lambda share: None
 ) -> dict[str, float]:
-    """Measure mAP of the FEATURE-TASK and recall of the proposals.
+    """Measure how well the proposals cover the objects of a data set, whatever their classes.
+
+    Args:
+        extractor: Any extractor.
+        data: Annotated frames.
+        frames: How many of them.
+        progress: Called with the finished share.
+
+    Returns:
+        recall50_N and recall70_N of the first 20, 50 and 100 proposals, and average_recall_100.
+    """
+    truth, proposals = [], []
+    for index, (frame, instances) in enumerate(islice(data, frames)):
+        truth.append(np.array([i.box for i in instances], dtype=np.float64).reshape(-1, 4))
+        proposals.append(extractor.extract(frame.rgb).proposals.double().numpy())
+        progress((index + 1) / frames)
+    figures: dict[str, float] = {}
+    for top in (20, 50, 100):
+        best = best_overlaps(truth, proposals, top)
+        figures |= {f"recall50_{top}": recall(best, 0.5), f"recall70_{top}": recall(best, 0.7)}
+    figures["average_recall_100"] = average_recall(best_overlaps(truth, proposals, 100))
+    return figures
+
+
+def feature_task_precision(
+    extractor: CompactMaskRcnn, data: Dataset, frames: int, progress: Progress = lambda share: None
+) -> dict[str, float]:
+    """Measure mAP on the FEATURE-TASK with the network's own classification layer.
 
     Args:
         extractor: With compact weights.
@@ -73,22 +104,12 @@ def evaluate(
         progress: Called with the finished share.
 
     Returns:
-        map50_bbox, map70_bbox, map50_segm, map70_segm, class-agnostic recall of 20, 50 and 100 proposals at IoU 0.5
-        and 0.7, and the average recall of 100.
+        map50_bbox, map70_bbox, map50_segm, map70_segm, 0 to 1.
     """
     truth: list[tuple[Instance, ...]] = []
     found: list[tuple[Instance, ...]] = []
-    proposals: list[Any] = []
     for index, (frame, instances) in enumerate(islice(data, frames)):
         truth.append(instances)
         found.append(detect(extractor, frame.rgb, data.classes))
-        proposals.append(extractor.extract(frame.rgb).proposals.double().numpy())
         progress((index + 1) / frames)
-    metrics = evaluate_instances(truth, found, data.classes)
-    figures = metrics.as_dict()
-    boxes = [np.array([i.box for i in image]).reshape(-1, 4) for image in truth]
-    for top in (20, 50, 100):
-        best = best_overlaps(boxes, proposals, top)
-        figures |= {f"recall50_{top}": recall(best, 0.5), f"recall70_{top}": recall(best, 0.7)}
-    figures["average_recall_100"] = average_recall(best_overlaps(boxes, proposals, 100))
-    return figures
+    return evaluate_instances(truth, found, data.classes).as_dict()

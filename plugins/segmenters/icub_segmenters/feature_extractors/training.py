@@ -418,11 +418,13 @@ def train_compact(
     weights = run_dir / "compact.safetensors"
     progress(TRAINING_SHARE, "exporting")
     state = export(checkpoint, weights, frames)
-    from icub_segmenters.feature_extractors.evaluation import evaluate
+    from icub_segmenters.feature_extractors.evaluation import feature_task_precision, proposal_recall
 
-    rest = 1 - TRAINING_SHARE
-    figures = evaluate(
-        CompactMaskRcnn(str(weights)), unseen, len(unseen), lambda s: progress(TRAINING_SHARE + rest * s, "evaluating")
+    extractor, rest = CompactMaskRcnn(str(weights)), 1 - TRAINING_SHARE
+    figures = feature_task_precision(
+        extractor, unseen, len(unseen), lambda s: progress(TRAINING_SHARE + 0.5 * rest * s, "evaluating classes")
+    ) | proposal_recall(
+        extractor, unseen, len(unseen), lambda s: progress(1 - 0.5 * rest * (1 - s), "evaluating proposals")
     )
     command = f"icub train feature_extractor=compact --seed {seed} --minutes {minutes:g}"
     write_card(run_dir / "compact.json", command, state, len(frames), len(unseen), figures)
