@@ -3,10 +3,11 @@
 import logging
 
 import pytest
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from icub_core.config.assembly import Assembly
 from icub_core.config.compose import compose
+from icub_core.config.folders import config_folders, groups
 from icub_core.config.settings import build_scene, to_dataclass
 from icub_core.errors import ConfigError, PluginError
 from icub_core.kinds import KINDS
@@ -213,6 +214,28 @@ def test_typed_groups_become_the_dataclasses_of_the_core(tiny):
     task = to_dataclass(config.task)
     assert task.max_steps == 99
     assert isinstance(task.x_range, tuple)
+
+
+FOLDER = config_folders()[0]
+PRESETS = sorted(file.relative_to(FOLDER) for file in FOLDER.glob("*/budget/*.yaml"))
+
+
+@pytest.mark.parametrize("preset", PRESETS, ids=str)
+def test_every_budget_preset_fits_its_plugin_and_changes_something(preset):
+    kind = preset.parts[0]
+    plugin, _, budget = preset.stem.rpartition("_")
+    with_it = compose([f"{kind}={plugin}", f"budget={budget}"])
+    without = compose([f"{kind}={plugin}"])
+    assert with_it.budget == budget
+    values = OmegaConf.load(FOLDER / preset)
+    assert isinstance(values, DictConfig)
+    assert {key: with_it[kind][key] for key in values} == values
+    assert {key: without[kind][key] for key in values} != values
+
+
+@pytest.mark.parametrize("experiment", [name for name in groups()["experiment"]])
+def test_every_experiment_composes(experiment):
+    assert compose(["+segmenter=falkon", "+policy=resprect", f"experiment={experiment}"]).pipeline.name == "main"
 
 
 def test_the_main_job_composes_from_what_ships():
