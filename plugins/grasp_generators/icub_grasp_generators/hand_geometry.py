@@ -6,11 +6,14 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.geometry import FloatArray, invert, make_transform, rotation_about
 from icub_core.interfaces.robot import Robot
 
 _SPACING = 0.008  # metres between spheres along a link
+_CELL = 0.004  # metres, edge of a cell of the occupancy grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +33,33 @@ class Spheres:
         return self.centers @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
 
 
+class Occupancy:
+    """The space inside a set of spheres, as a grid that many points are looked up in at once.
+
+    Args:
+        spheres: The body, in its own frame.
+    """
+
+    def __init__(self, spheres: Spheres) -> None:
+        reach = spheres.radii[:, None]
+        self._low = (spheres.centers - reach).min(axis=0) - _CELL
+        count = np.ceil(((spheres.centers + reach).max(axis=0) + _CELL - self._low) / _CELL).astype(int)
+        axes = [self._low[i] + (np.arange(count[i]) + 0.5) * _CELL for i in range(3)]
+        cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        inside = np.zeros(len(cells), dtype=bool)
+        for center, radius in zip(spheres.centers, spheres.radii, strict=True):
+            inside |= ((cells - center) ** 2).sum(axis=1) < radius**2
+        # one empty layer around the grid catches every point outside of it
+        self._grid = np.pad(inside.reshape(tuple(count)), 1)
+
+    def count(self, T: FloatArray, points: FloatArray) -> NDArray[np.intp]:
+        """Count how many points (N, 3) lie inside the body placed at each of the poses T (C, 4, 4): (C,)."""
+        local = (points - T[:, None, :3, 3]) @ T[:, :3, :3]
+        index = np.floor((local - self._low) / _CELL).astype(np.intp) + 1
+        index = np.clip(index, 0, np.array(self._grid.shape) - 1)
+        return self._grid[index[..., 0], index[..., 1], index[..., 2]].sum(axis=1)
+
+
 @dataclass(frozen=True, eq=False)
 class HandGeometry:
     """What of a robot comes near the object and the table.
@@ -37,12 +67,14 @@ class HandGeometry:
     Attributes:
         frame: The hand frame that grasps are stated in.
         hand: The hand as it waits before a grasp (the home pose of its fingers), in the hand frame.
+        occupancy: The same as a grid.
         forearm_link: The last link above the hand that has a collision body, or None.
         forearm: That body in its link's frame; empty without such a link.
     """
 
     frame: str
     hand: Spheres
+    occupancy: Occupancy
     forearm_link: str | None
     forearm: Spheres
 
@@ -76,9 +108,11 @@ def read_hand_geometry(robot: Robot, hand: str) -> HandGeometry:
             centers.append(spheres.at(T_hand_world @ robot.forward_kinematics(q, link)))
             radii.append(spheres.radii)
     arm = bodies[forearm] if forearm is not None else None
+    spheres = Spheres(np.concatenate(centers), np.concatenate(radii))
     return HandGeometry(
         frame,
-        Spheres(np.concatenate(centers), np.concatenate(radii)),
+        spheres,
+        Occupancy(spheres),
         forearm,
         arm if arm is not None else Spheres(np.zeros((0, 3)), np.zeros(0)),
     )
@@ -120,6 +154,11 @@ def _spheres_of(link: ET.Element) -> Spheres | None:
         centers.append(local @ T[:3, :3].T + T[:3, 3])
         radii.append(np.full(len(local), radius))
     return Spheres(np.concatenate(centers), np.concatenate(radii)) if centers else None
+
+
+def _spaced(half: float) -> FloatArray:
+    """Positions from -half to half, close enough for spheres to overlap; one in the middle for no length."""
+    return np.linspace(-half, half, max(2, int(np.ceil(2 * half / _SPACING)) + 1)) if half > 1e-4 else np.zeros(1)
 
 
 def _origin(element: ET.Element | None) -> FloatArray:

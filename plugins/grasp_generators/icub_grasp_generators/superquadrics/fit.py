@@ -35,7 +35,7 @@ from icub_grasp_generators.superquadrics.start import MIN_POINTS, scale_of, star
 _COARSE_POINTS = 130
 _COARSE_SIGMAS = (0.05, 0.05, 0.03, 0.03, 0.02, 0.02, 0.02)  # of the object's size, one per step
 _FINE_STEPS = 14
-_SIGMA_FLOOR = 0.004  # of the object's size
+_SIGMA_FLOOR = 0.015  # of the object's size: no real object is a superquadric to better than that
 _OUTLIER_AT = 3.0  # distance, in sigmas, at which inlier and outlier are equally likely
 _OUTLINE_WEIGHT = 0.5  # 1 is the likelihood itself, which ends a free edge sqrt(2) sigma inside its last points
 _LAST_STEPS = 4
@@ -213,7 +213,13 @@ def _retract(problem: _Problem, solids: Solids, sigma: FloatArray) -> Solids:
     def objective(variants: Solids) -> FloatArray:
         views = np.repeat(view, len(variants.R), axis=0)
         _, cost = problem.terms(variants).mixture(np.repeat(sigma, len(variants.R)), views)
-        return cost + _OUTLINE_WEIGHT * problem.count * sigma[0] ** 2 * outline_area(variants, np.repeat(viewer, len(variants.R), axis=0))[0]
+        return (
+            cost
+            + _OUTLINE_WEIGHT
+            * problem.count
+            * sigma[0] ** 2
+            * outline_area(variants, np.repeat(viewer, len(variants.R), axis=0))[0]
+        )
 
     single = np.concatenate([np.zeros((1, 6)), np.eye(6)])
     costs = objective(shrunk(single))
@@ -226,9 +232,7 @@ def _retract(problem: _Problem, solids: Solids, sigma: FloatArray) -> Solids:
     return Solids(return_of.R[best : best + 1], return_of.vector[best : best + 1])
 
 
-def _step(
-    solids: Solids, terms: _Terms, weighted: FloatArray, g_area: FloatArray, damping: FloatArray
-) -> FloatArray:
+def _step(solids: Solids, terms: _Terms, weighted: FloatArray, g_area: FloatArray, damping: FloatArray) -> FloatArray:
     """One damped Gauss-Newton step (S, 11) that does not push parameters through their bounds."""
     H = weighted @ terms.J.transpose(0, 2, 1)
     g = (weighted @ terms.r[..., None])[..., 0]
@@ -269,12 +273,16 @@ def fit_superquadric(points: NDArray[np.floating], table_top: float | None = Non
     sample /= size
     table = None if table_top is None else (table_top - origin[2]) / size
     few = sample[:: max(1, len(sample) // _COARSE_POINTS)]
-    solids, cost, _, _ = _descend(_Problem(few, table), starts(few, table), _COARSE_SIGMAS, _OUTLINE_WEIGHT, estimate=False)
+    solids, cost, _, _ = _descend(
+        _Problem(few, table), starts(few, table), _COARSE_SIGMAS, _OUTLINE_WEIGHT, estimate=False
+    )
     best = int(np.argmin(cost))
     problem = _Problem(sample, table)
     solids, _, w, sigma = _descend(
         problem,
-        _retract(problem, Solids(solids.R[best : best + 1], solids.vector[best : best + 1]), np.array([_RETRACT_SIGMA])),
+        _retract(
+            problem, Solids(solids.R[best : best + 1], solids.vector[best : best + 1]), np.array([_RETRACT_SIGMA])
+        ),
         (_COARSE_SIGMAS[-1],) + (_SIGMA_FLOOR,) * _FINE_STEPS,
         _OUTLINE_WEIGHT,
         estimate=True,

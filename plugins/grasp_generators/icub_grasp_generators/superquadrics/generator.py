@@ -6,25 +6,29 @@ import dataclasses
 import weakref
 
 import numpy as np
+
 from icub_core.data import Grasp, GraspProposals, PointCloud
 from icub_core.errors import DataError
 from icub_core.geometry import FloatArray
 from icub_core.interfaces.grasp_generator import GraspGenerator
 from icub_core.interfaces.robot import Robot
 from icub_core.scene import Table
-
 from icub_grasp_generators.hand_geometry import HandGeometry, Spheres, read_hand_geometry
 from icub_grasp_generators.superquadrics.fit import fit_superquadric
 from icub_grasp_generators.superquadrics.poses import clears_table, evaluate, family
 from icub_grasp_generators.superquadrics.shape import Superquadric
+from icub_grasp_generators.superquadrics.start import thin
 
 NAME = "superquadrics"
 BACK_OFF = (0.10, 0.05)
 """Metres before the grasp where the hand must be able to stand too (thesis 12.3.1)."""
 
 _MIN_INLIERS = 0.5
+_CLOUD_POINTS = 250
+_MAX_TOUCHED = 4  # of them inside the open hand: sensor noise, not an obstacle
 _CHUNK = 100  # candidates that go to inverse kinematics at once
 _IK_ITERATIONS = 40
+_MAX_JUMP = 0.8  # rad of any joint over 5 cm: beyond, the arm changes its configuration on the way
 _POSTURE_WEIGHT = 0.1  # cost per rad^2 of distance from the home posture
 
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # the robot's plane of symmetry
@@ -75,7 +79,12 @@ class Superquadrics(GraspGenerator):
         if reason:
             return GraspProposals((), center, reason)
         T_world_hand = _MIRROR @ candidates.T @ _FLIP if hand == "left" else candidates.T
-        grasps = self._reachable(T_world_hand, candidates.cost, center, robot, geometry, table, hand)
+        # what the solid does not model, such as the cap of a bottle, is still in the way
+        free = geometry.occupancy.count(T_world_hand, thin(cloud.points, _CLOUD_POINTS)) <= _MAX_TOUCHED
+        if not free.any():
+            return GraspProposals((), center, "at every pose around the object the open hand meets points of the cloud")
+        T_world_hand, cost = T_world_hand[free], candidates.cost[free]
+        grasps = self._reachable(T_world_hand, cost, center, robot, geometry, table, hand)
         if not grasps:
             tried = min(len(T_world_hand), self._max_tries)
             return GraspProposals((), center, f"the {hand} arm reaches none of {tried} hand poses around the object")
@@ -110,14 +119,36 @@ class Superquadrics(GraspGenerator):
             if len(found) >= 2 * self._max_grasps:
                 break
         found.sort(key=lambda grasp: -grasp.score)
-        return tuple(found[: self._max_grasps])
+        chosen: list[Grasp] = []
+        for grasp in found:
+            if self._on_one_way(grasp, robot, geometry):
+                chosen.append(grasp)
+            if len(chosen) == self._max_grasps:
+                break
+        return tuple(chosen)
+
+    def _on_one_way(self, grasp: Grasp, robot: Robot, geometry: HandGeometry) -> bool:
+        """Say whether the arm comes from home to the first pre-grasp and from there, without a jump, to the grasp."""
+        q = robot.description.home_q
+        group = f"{grasp.hand}_reach"
+        for distance in (*BACK_OFF, 0.0):
+            T = grasp.backed_off(distance) if distance else grasp.T_world_hand
+            solution = robot.inverse_kinematics(T, q, geometry.frame, group=group)
+            if not solution.reached or (distance < BACK_OFF[0] and float(np.abs(solution.q - q).max()) > _MAX_JUMP):
+                return False
+            q = solution.q
+        return True
 
     def _at_distance(
         self, grasps: list[Grasp], distance: float, robot: Robot, geometry: HandGeometry, table: Table | None
     ) -> list[Grasp]:
         """Keep the grasps whose hand can be `distance` before its pose; at 0, their posture is added to the cost."""
         poses = [grasp.backed_off(distance) if distance else grasp.T_world_hand for grasp in grasps]
-        grasps = [g for g, T in zip(grasps, poses, strict=True) if clears_table(geometry.hand.at(T), geometry.hand.radii, table)]
+        grasps = [
+            g
+            for g, T in zip(grasps, poses, strict=True)
+            if clears_table(geometry.hand.at(T), geometry.hand.radii, table)
+        ]
         if not grasps:
             return []
         home = robot.description.home_q

@@ -15,9 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from icub_core.geometry import FloatArray, rotation_about
 from icub_core.scene import Table
-
 from icub_grasp_generators.hand_geometry import Spheres
 from icub_grasp_generators.superquadrics.shape import Superquadric
 

@@ -15,9 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+
 from icub_core.errors import DataError
 from icub_core.geometry import FloatArray, is_rigid, make_transform
-from numpy.typing import NDArray
 
 EXPONENT_RANGE = (0.05, 1.3)
 """Lowest and highest exponent: below, edges are sharper than sensors resolve; above, a diamond mimics a turned box."""

@@ -19,6 +19,7 @@ FIT_POINTS = 500
 _TRIM = 0.06  # share cut off at both ends of an extent: outliers must not span the box
 _START_EXPONENTS = (0.4, 0.5)
 _AXIS_ORDERS = ([0, 1, 2], [1, 2, 0], [2, 0, 1])  # each axis in turn as the axis of revolution
+_SHOULDER = 0.8  # share of the points below the shoulder that a cap stands on
 _YAWS = 12
 _FREE = 96
 
@@ -34,9 +35,7 @@ def usable_sample(points: NDArray[np.floating]) -> FloatArray:
     if not np.isfinite(points).all():
         bad = int(np.sum(~np.isfinite(points).all(axis=1)))
         raise DataError(f"{bad} of the cloud's {len(points)} points are not finite; drop them before planning")
-    if len(points) > FIT_POINTS:
-        points = points[np.random.default_rng(0).choice(len(points), size=FIT_POINTS, replace=False)]
-    sample = np.array(points, dtype=np.float64)
+    sample = thin(points, FIT_POINTS)
     low, high = _extents(sample.T)
     extent = float(np.max(high - low))
     if extent > MAX_EXTENT:
@@ -47,6 +46,13 @@ def usable_sample(points: NDArray[np.floating]) -> FloatArray:
     if deviation[1] < _LINE * deviation[2]:
         raise DataError("the points of the cloud lie on one line; expected a surface")
     return sample
+
+
+def thin(points: NDArray[np.floating], count: int) -> FloatArray:
+    """Return a copy of at most `count` of the points (N, 3), drawn at random but always the same ones."""
+    if len(points) > count:
+        points = points[np.random.default_rng(0).integers(len(points), size=count)]
+    return np.array(points, dtype=np.float64)
 
 
 def _extents(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -64,26 +70,32 @@ def scale_of(points: FloatArray) -> tuple[FloatArray, float]:
 
 
 def starts(points: FloatArray, table: float | None) -> Solids:
-    """Return six solids in boxes around points (N, 3): the two smallest boxes, each with every axis as the first.
+    """Return nine solids in boxes around points (N, 3): three boxes, each with every axis as the first.
+
+    In the air the boxes are the three smallest. On a table they are upright and reach down to it: the smallest, the
+    second smallest, and the smallest without what stands on its top (the cap of a bottle).
 
     Args:
         points: In the frame of the fit, about one unit across.
-        table: Height of the table in that frame; boxes are then upright and reach down to it.
+        table: Height of the table in that frame.
     """
     Rs = _UPRIGHT if table is not None else _principal(points) @ _SPREAD
     low, high = _extents(Rs.transpose(0, 2, 1) @ points.T)
-    best = np.argsort(np.prod((high - low)[:, :2] if table is not None else high - low, axis=1), kind="stable")[:2]
+    best = np.argsort(np.prod((high - low)[:, :2] if table is not None else high - low, axis=1), kind="stable")[:3]
+    if table is not None:
+        best[2] = best[0]
     Rs, low, high = Rs[best], low[best], high[best]
     if table is not None:
+        high[2, 2] = np.quantile(points[:, 2], _SHOULDER)
         low[:, 2] = np.minimum(table, high[:, 2] - 0.02)
     center = (Rs @ ((low + high) / 2)[..., None])[..., 0]
     half = np.maximum((high - low) / 2, 0.02)
-    vector = np.zeros((2, 3, 8))
+    vector = np.zeros((3, 3, 8))
     vector[:, :, :3] = center[:, None]
     vector[:, :, 3:6] = np.log(half[:, _AXIS_ORDERS])
     vector[:, :, 6:] = _START_EXPONENTS
     turned = np.stack([Rs[:, :, order] for order in _AXIS_ORDERS], axis=1)
-    return Solids(turned.reshape(6, 3, 3), vector.reshape(6, 8))
+    return Solids(turned.reshape(9, 3, 3), vector.reshape(9, 8))
 
 
 def _principal(points: FloatArray) -> FloatArray:
