@@ -104,11 +104,16 @@ class Studio:
         return cls(simulator, body)
 
     def shot(
-        self, eye: Sequence[float], target: Sequence[float], fovy: float, size: tuple[int, int] = (320, 240)
+        self,
+        eye: Sequence[float],
+        target: Sequence[float],
+        fovy: float,
+        size: tuple[int, int] = (320, 240),
+        shadows: bool = True,
     ) -> Image:
         """Photograph from a free place, twice as large and halved again: smooth edges."""
         view = CameraView(look_at(eye, target), fovy)
-        large = self.simulator.render(view, 2 * size[0], 2 * size[1], shadows=True).frame.rgb
+        large = self.simulator.render(view, 2 * size[0], 2 * size[1], shadows=shadows).frame.rgb
         return np.asarray(cv2.resize(large, size, interpolation=cv2.INTER_AREA), np.uint8)
 
     def put(self, item: ObjectSpec, x: float, y: float, yaw: float = 0.0) -> None:
@@ -154,9 +159,10 @@ def hands() -> None:
             T = simulator.link_pose(description.hand_frames[side])
             middle = T[:3, 3] + 0.02 * T[:3, 0] + sign * 0.02 * T[:3, 2]
             eye = middle + sign * 0.26 * T[:3, 2] + 0.10 * T[:3, 0] - 0.16 * T[:3, 1]
-            lamp = Light(tuple((middle - eye + [0.0, 0.12, 0.1]).tolist()), (0.5, 0.5, 0.5), (0.42, 0.42, 0.42))
+            x, y, z = (middle - eye + [0.0, 0.15, -0.1]).tolist()
+            lamp = Light((x, y, z), (0.5, 0.5, 0.5), (0.42, 0.42, 0.42))
             simulator.set_appearance(lights=(lamp,))
-            row.append(captioned(studio.shot(eye, middle, 0.62), f"{side} hand, {state}"))
+            row.append(captioned(studio.shot(eye, middle, 0.62, shadows=False), f"{side} hand, {state}"))
         rows.append(np.concatenate(row, axis=1))
     save_png("hands", np.concatenate(rows))
 
@@ -198,17 +204,18 @@ def cameras() -> None:
 def objects() -> None:
     """The eight YCB primitives, and random objects resized for the hand."""
     random = registry.build("objects", {"plugin": "random1000", "graspable": True})
+    lamp = Light(direction=(-0.5, -0.5, -1.0), diffuse=(0.6, 0.6, 0.6), ambient=(0.42, 0.42, 0.42))
     for name, items in (
         ("objects_ycb_primitives", ycb()),
         ("objects_random1000", [random.get(n) for n in random.names[:96:12]]),
     ):
         simulator = registry.build("simulator", "mujoco")
-        simulator.load(None, Scene(tuple(items), Table(material=WOOD), lights=STUDIO, floor=FLOOR, backdrop=WALL))
+        simulator.load(None, Scene(tuple(items), Table(material=WOOD), lights=(lamp,), floor=FLOOR, backdrop=WALL))
         simulator.reset()
         studio = Studio(simulator, None)  # type: ignore[arg-type]  # no robot is looked at here
         for i, item in enumerate(items):
             studio.put(item, -0.42 - 0.2 * (i % 2), -0.42 + 0.12 * i, 0.6)
-        save_png(name, studio.shot((0.45, 0.0, 1.55), (-0.50, 0.0, 1.02), 0.40, (640, 300)))
+        save_png(name, studio.shot((0.60, 0.0, 1.62), (-0.50, 0.0, 1.03), 0.40, (640, 280)))
 
 
 def projected(points: NDArray[np.float64], T_world_camera: NDArray[np.float64], K: NDArray[np.float64]) -> NDArray:
