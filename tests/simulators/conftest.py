@@ -10,7 +10,10 @@ from icub_core.scene import Scene
 from icub_robots.icub import ICub
 from icub_simulators.objects.ycb_primitives import YcbPrimitives
 
-ENGINES = {"mujoco": "icub_simulators.mujoco.simulator:Mujoco"}
+ENGINES = {
+    "mujoco": "icub_simulators.mujoco.simulator:Mujoco",
+    "pybullet": "icub_simulators.pybullet.simulator:PyBullet",
+}
 
 
 def make_engine(name):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import Scene
+from icub_simulators.limits import FASTEST_JOINT, FASTEST_OBJECT, FASTEST_SPIN
 from icub_simulators.mujoco.builder import OBJECT_PREFIX
 
 IntArray = NDArray[np.intp]
@@ -49,11 +50,6 @@ class Index:
     robot_geom: NDArray[np.bool_]
     fingertip_of_geom: dict[str, NDArray[np.int8]]
     velocity_limits: NDArray[np.float64]
-
-
-FASTEST_JOINT = 200.0  # rad/s; the fastest finger moves at about 10
-FASTEST_OBJECT = 30.0  # m/s; ten times that of a fall from the table
-FASTEST_SPIN = 500.0  # rad/s; a light object flicked by a finger reaches 100
 
 
 def build_index(model: mujoco.MjModel, robot: RobotDescription | None, scene: Scene) -> Index:

@@ -11,7 +11,7 @@ from icub_core.errors import SimulationError
 from icub_core.geometry import matrix_to_quat_wxyz
 from icub_core.robot_description import Actuator, ContactMaterial, JointDynamics, RobotDescription
 from icub_simulators.mujoco.collision import ROBOT, ROBOT_MEETS
-from icub_simulators.mujoco.visual_meshes import decimated
+from icub_simulators.visual_meshes import decimated
 
 HIDDEN_GROUP = 3
 """Geom group of collision shapes of links that have something better to show."""

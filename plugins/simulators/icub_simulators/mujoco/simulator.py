@@ -7,14 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.data import RobotState
-from icub_core.errors import ConfigError, SimulationError, unknown_name
-from icub_core.geometry import look_at as look_at_transform
-from icub_core.geometry import make_transform, quat_wxyz_to_matrix
+from icub_core.errors import SimulationError
 from icub_core.interfaces.simulator import Fault, Rendering, Simulator
 from icub_core.robot_description import RobotCamera, RobotDescription
 from icub_core.scene import CameraView, Light, Material, Scene
 from icub_simulators.mujoco.physics import Physics
 from icub_simulators.mujoco.renderer import Renderer
+from icub_simulators.views import place_camera
 
 FloatArray = NDArray[np.float64]
 
@@ -132,7 +131,7 @@ class Mujoco(Simulator):
         """Take a picture; see the interface."""
         world = self._world
         renderer = self._open_renderer()
-        view = self._view(camera, look_at)
+        view = place_camera(camera, self._cameras, world.link_pose, look_at)
         return renderer.render(
             world.data.qpos, world.parked, view, width, height, segmentation, shadows, world.data.time
         )
@@ -157,20 +156,6 @@ class Mujoco(Simulator):
             world = self._world
             self._renderer = Renderer(world.robot, world.scene)
         return self._renderer
-
-    def _view(self, camera: str | CameraView, target: FloatArray | None) -> CameraView:
-        """Place a named camera, turned to `target` where one is given."""
-        if isinstance(camera, CameraView):
-            T, fovy = camera.T_world_camera, camera.fovy
-        else:
-            named = self._cameras.get(camera)
-            if named is None:
-                raise ConfigError(unknown_name("camera", camera, self._cameras))
-            T = self._world.link_pose(named.link) @ make_transform(quat_wxyz_to_matrix(named.quat_wxyz), named.position)
-            fovy = named.fovy
-        if target is not None:
-            T = look_at_transform(T[:3, 3], target)
-        return CameraView(T, fovy)
 
     def save_state(self) -> FloatArray:
         """Everything that decides the future, as one vector; restoring it is bit exact."""

@@ -1,0 +1,45 @@
+"""Where a camera stands: free, on a link, or on a link and turned to a point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from icub_core.errors import ConfigError, unknown_name
+from icub_core.geometry import look_at, make_transform, quat_wxyz_to_matrix
+from icub_core.robot_description import RobotCamera
+from icub_core.scene import CameraView
+
+FloatArray = NDArray[np.float64]
+
+
+def place_camera(
+    camera: str | CameraView,
+    named: Mapping[str, RobotCamera],
+    link_pose: Callable[[str], FloatArray],
+    target: FloatArray | None,
+) -> CameraView:
+    """Resolve a camera to a place in the world.
+
+    Args:
+        camera: A free camera, or the name of one of the robot's.
+        named: The robot's cameras by name.
+        link_pose: Gives T_world_link (4, 4).
+        target: (3,) world point that the camera is turned to where it stands, or None.
+
+    Raises:
+        ConfigError: For an unknown name, with the nearest one.
+    """
+    if isinstance(camera, CameraView):
+        T, fovy = camera.T_world_camera, camera.fovy
+    else:
+        if camera not in named:
+            raise ConfigError(unknown_name("camera", camera, named))
+        mounted = named[camera]
+        T_link_camera = make_transform(quat_wxyz_to_matrix(mounted.quat_wxyz), mounted.position)
+        T, fovy = link_pose(mounted.link) @ T_link_camera, mounted.fovy
+    if target is not None:
+        T = look_at(T[:3, 3], target)
+    return CameraView(T, fovy)
