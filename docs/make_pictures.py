@@ -33,6 +33,7 @@ from icub_core.interfaces.robot import Robot
 from icub_core.interfaces.simulator import Simulator
 from icub_core.pipeline.pictures import captioned, contact_sheet
 from icub_core.scene import CameraView, Light, Material, ObjectSpec, Scene, Table
+from icub_simulators.mujoco.gl import choose_backend
 
 Image = NDArray[np.uint8]
 FOLDER = Path(__file__).parent / "images"
@@ -417,6 +418,8 @@ def main() -> None:
             parser.error(f"no picture named '{name}'; known: {', '.join(PICTURES)}")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     FOLDER.mkdir(exist_ok=True)
+    # the renderer of the FEATURE-TASK is MuJoCo's own, which looks at the environment when it is imported
+    os.environ.setdefault("MUJOCO_GL", choose_backend())
     for name in options.names or PICTURES:
         if name == "main_job":
             main_job(options.run)
