@@ -113,6 +113,8 @@ def test_version(capsys):
         (["run", "+segmentr=tiny"], "Did you mean 'segmenter=tiny'?"),
         (["run", "policy=tini"], "no policy plugin named 'tini'. Did you mean 'tiny'?"),
         (["run", "policy=tiny", "policy.spede=1"], "policy 'tiny' has no parameter 'spede'. Did you mean 'speed'?"),
+        (["run", "device=cuda:77"], "device=cuda:77 cannot be used: "),
+        (["run", "device=gpu"], "device=gpu cannot be used: "),
         (["run", "--resume"], "--resume needs the folder of a run"),
         (["run", "--resume", "nowhere"], "nowhere is not the folder of a run"),
         (["run", "--config-dir", "nowhere"], "the configuration folder 'nowhere' does not exist"),
@@ -292,6 +294,17 @@ def test_training_that_is_interrupted_says_how_to_go_on(trained, tmp_path):
     assert error.strip().splitlines()[-1] == (
         "icub: interrupted; to go on: icub train policy=trained --seed 99 --minutes 7 --run-dir there"
     )
+
+
+def test_benchmarks_of_the_checkout_and_of_third_parties_are_run(install, tmp_path, capsys):
+    marker = tmp_path / "ran"
+    source = f"def main(words):\n    open({str(marker)!r}, 'w').write(' '.join(words))\n    return 3\n"
+    install("bench", {"icub.benchmark": {"third": "bench_module:main"}}, {"bench_module.py": source})
+    assert main(["benchmark", "--help"]) == 0
+    assert {"  cli\n", "  third\n"} <= {line + "\n" for line in capsys.readouterr().out.splitlines()}
+    assert main(["benchmark", "third", "--repetitions", "2"]) == 3
+    assert marker.read_text() == "--repetitions 2"
+    assert main(["benchmark", "cli", "--help"]) == 0
 
 
 def test_plugins_are_listed_with_what_they_are(tiny, capsys):

@@ -61,13 +61,14 @@ def _run(words: list[str]) -> int:
     from icub_core.config.compose import PRIMARY, VERSION_BASE, compose, one_line_errors, vocabulary
     from icub_core.config.folders import config_folders
     from icub_core.config.overrides import rewrite
+    from icub_core.config.settings import check_device
     from icub_core.config.sources import register
 
     config_dir = _config_dir(words)
     rewritten = rewrite(words, *vocabulary(config_dir))
     if not any(word.split("=")[0] in NOT_A_RUN | MULTIRUN for word in words):
         # errors are found here, before a run folder exists; a sweep is checked job by job
-        compose([word for word in _overrides(words) if not word.startswith("hydra")], config_dir)
+        check_device(compose([word for word in _overrides(words) if not word.startswith("hydra")], config_dir))
     register()
     import hydra
 
@@ -103,13 +104,14 @@ def job(config: DictConfig) -> dict[str, Any] | None:
     from omegaconf import OmegaConf
 
     from icub_core.config.compose import check
-    from icub_core.config.settings import pipeline_runner
+    from icub_core.config.settings import check_device, pipeline_runner
     from icub_core.files import write_text_atomically
 
     run_dir = Path(HydraConfig.get().runtime.output_dir)
     _current["run_dir"] = _relative(run_dir)
     try:
         check(config)
+        check_device(config)
         config.run_dir = str(run_dir)
         write_text_atomically(run_dir / "config.yaml", OmegaConf.to_yaml(config, resolve=True))
         metrics: dict[str, Any] = pipeline_runner(config.pipeline.name)(config, run_dir)

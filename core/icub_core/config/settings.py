@@ -105,6 +105,19 @@ def check_run_settings(config: DictConfig) -> None:
             raise ConfigError(f"{field.name}={value} has the wrong type; expected {field.type}") from cause
 
 
+def check_device(config: DictConfig) -> None:
+    """Refuse a device that torch does not know or that this machine lacks; raises ConfigError."""
+    if config.device == "cpu":
+        return
+    import torch
+
+    try:
+        torch.zeros(1, device=config.device)
+    except (RuntimeError, AssertionError) as cause:  # torch without CUDA asserts
+        reason = str(cause).splitlines()[0]
+        raise ConfigError(f"device={config.device} cannot be used: {reason}; device=cpu always can") from cause
+
+
 def pipeline_runner(name: str) -> Any:
     """Import a pipeline's function ``run(cfg, run_dir) -> dict``; raises ConfigError with the nearest valid name."""
     known = sorted(option for group, option in TYPED_GROUPS if group == "pipeline")

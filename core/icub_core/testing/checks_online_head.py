@@ -110,8 +110,10 @@ def check_state_round_trip(make: Make) -> None:
 
 
 def check_bad_state(make: Make) -> None:
-    """A state with other names raises CheckpointError and changes nothing."""
+    """A state with other names or shapes raises CheckpointError and changes nothing."""
     head, X = _fitted(make), _data(1)[0]
     before = head.decision_function(X)
     expect_raises(CheckpointError, lambda: head.load_state_dict({"nonsense": torch.zeros(3)}), "for a foreign state")
+    flat = {name: tensor.reshape(-1) for name, tensor in head.state_dict().items()}
+    expect_raises(CheckpointError, lambda: head.load_state_dict(flat), "for a state of other shapes")
     expect_same(before, head.decision_function(X), "scores before and after a refused state")

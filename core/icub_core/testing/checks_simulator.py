@@ -21,6 +21,8 @@ SETTLED = 0.01
 """Metres that a resting object may creep in half a second."""
 RENDERING_ERROR = 0.01
 """Metres by which rendered points may miss the surface, one pixel's footprint at 1 m included."""
+PIXEL_ERROR = 0.3
+"""Pixels; half a pixel is what a wrong convention costs."""
 TRACKING_ERROR = 0.05
 """rad or m between a servo and its target after two seconds without load."""
 
@@ -124,6 +126,9 @@ def check_joint_order(make: Make) -> None:
         expect_close(state.q, q, 1e-9, "q and what it was set to")
         expect_close(state.dq, np.zeros_like(q), 1e-9, "dq and zero")
         expect_close(state.actuator_positions, A @ q + b, 1e-6, "actuator lengths and A q + b")
+        simulator.step(20)
+        held = simulator.robot_state().actuator_positions
+        expect_close(held, A @ q + b, TRACKING_ERROR, "actuator lengths a moment after teleporting")
 
 
 def check_kinematics(make: Make) -> None:
@@ -231,6 +236,31 @@ def check_picture(make: Make) -> None:
         expect_close(np.median(heights), top, RENDERING_ERROR, "the height of the table's pixels")
 
 
+def check_pixels(make: Make) -> None:
+    """Whole numbers are pixel centres: what lies on the camera's axis is seen at half (size - 1)."""
+    with _world(make) as simulator:
+        simulator.set_object_pose("red", _place("red", -0.35, 0.0))
+        for width, height in ((100, 80), (101, 81)):
+            picture = simulator.render(_from_above(-0.35, 0.0), width, height, segmentation=True)
+            assert picture.segmentation is not None
+            rows, columns = np.nonzero(picture.segmentation == 0)
+            middle = np.array([columns.mean(), rows.mean()])
+            expect_close(
+                middle, [(width - 1) / 2, (height - 1) / 2], PIXEL_ERROR, "the middle of an object on the axis"
+            )
+            K = picture.frame.intrinsics
+            expect_close(K[:2, 2], middle, PIXEL_ERROR, "the principal point in the intrinsics")
+            expect_close(K[0, 0], 0.5 * height / np.tan(0.5 * 0.7), 0.5, "the focal length for a field of view of 0.7")
+
+
+def check_background(make: Make) -> None:
+    """Depth is 0 where nothing is hit."""
+    with _world(make) as simulator:
+        up = CameraView(look_at([0.0, 0.0, 3.0], [0.0, 0.0, 4.0], up=(1.0, 0.0, 0.0)))
+        depth = simulator.render(up, 40, 30).frame.depth
+        expect(not depth.any(), "depth 0 in the sky", f"up to {depth.max():.1f} m")
+
+
 def check_segmentation(make: Make) -> None:
     """Segmentation numbers objects in the order of the scene, and is left out unless asked for."""
     with _world(make) as simulator:
@@ -285,6 +315,11 @@ def check_faults(make: Make) -> None:
         expect(Fault.NOT_A_NUMBER in simulator.faults(), "the fault NOT_A_NUMBER", simulator.faults() or "none")
         simulator.reset()
         expect(simulator.faults() == (), "no faults after reset", simulator.faults())
+        saved = simulator.save_state()
+        simulator.set_targets(targets)
+        simulator.step(1)
+        simulator.restore_state(saved)
+        expect(simulator.faults() == (), "no faults after restore_state", simulator.faults())
 
 
 def check_load_again(make: Make) -> None:

@@ -182,6 +182,23 @@ class DepthAlongTheRay(TinySimulator):
         return replace(picture, frame=replace(picture.frame, depth=depth))
 
 
+@breaks("simulator", "check_pixels")
+class PixelCornersAreWholeNumbers(TinySimulator):
+    def render(self, camera, width=320, height=240, **options):
+        picture = super().render(camera, width, height, **options)
+        K = picture.frame.intrinsics.copy()
+        K[:2, 2] = width / 2, height / 2
+        return replace(picture, frame=replace(picture.frame, intrinsics=K))
+
+
+@breaks("simulator", "check_background")
+class SkyIsFarAway(TinySimulator):
+    def render(self, camera, width=320, height=240, **options):
+        picture = super().render(camera, width, height, **options)
+        depth = np.where(picture.frame.depth == 0, np.float32(100.0), picture.frame.depth)
+        return replace(picture, frame=replace(picture.frame, depth=depth))
+
+
 @breaks("simulator", "check_segmentation")
 class AlwaysSegments(TinySimulator):
     def render(self, camera, width=320, height=240, **options):
