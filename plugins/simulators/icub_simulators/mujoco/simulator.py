@@ -11,6 +11,7 @@ from icub_core.errors import SimulationError
 from icub_core.interfaces.simulator import Fault, Rendering, Simulator
 from icub_core.robot_description import RobotCamera, RobotDescription
 from icub_core.scene import CameraView, Light, Material, Scene
+from icub_simulators.depth_noise import DepthNoise
 from icub_simulators.mujoco.physics import Physics
 from icub_simulators.mujoco.renderer import Renderer
 from icub_simulators.views import place_camera
@@ -23,9 +24,13 @@ class Mujoco(Simulator):
 
     Solver: Newton, elliptic friction cones, friction 20 times stiffer than the normal direction. With the engine's
     defaults (pyramidal cones, ratio 1) fingers creep round what they hold and nearly every grasp fails.
+
+    Args:
+        depth_noise: Give the depth of a stereo camera (noise, steps, holes at edges) instead of the true one.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, depth_noise: bool = False) -> None:
+        self._noise = DepthNoise() if depth_noise else None
         self._physics: Physics | None = None
         self._renderer: Renderer | None = None
         self._cameras: dict[str, RobotCamera] = {}
@@ -66,6 +71,8 @@ class Mujoco(Simulator):
     def reset(self) -> None:
         """Home pose, zero velocity, objects parked, faults cleared."""
         self._world.reset()
+        if self._noise is not None:
+            self._noise.reset()
 
     def set_joint_positions(self, q: FloatArray) -> None:
         """Teleport the robot to `q` (n,)."""
@@ -132,9 +139,10 @@ class Mujoco(Simulator):
         world = self._world
         renderer = self._open_renderer()
         view = place_camera(camera, self._cameras, world.link_pose, look_at)
-        return renderer.render(
+        picture = renderer.render(
             world.data.qpos, world.parked, view, width, height, segmentation, shadows, world.data.time
         )
+        return picture if self._noise is None else self._noise.apply(picture)
 
     def set_appearance(
         self,

@@ -10,6 +10,7 @@ from icub_core.errors import SimulationError
 from icub_core.interfaces.simulator import Fault, Rendering, Simulator
 from icub_core.robot_description import RobotCamera, RobotDescription
 from icub_core.scene import CameraView, Light, Material, Scene
+from icub_simulators.depth_noise import DepthNoise
 from icub_simulators.pybullet.camera import Camera
 from icub_simulators.pybullet.world import World
 from icub_simulators.views import place_camera
@@ -23,9 +24,13 @@ class PyBullet(Simulator):
     What differs: servos are velocity motors of the same stiffness and strength (see `servos`); frictions multiply,
     and are set so that the products are the same; saving clears the solver's memory of contacts, so that a run with a
     save in it differs in the last digits from one without; a picture shows one light, and a backdrop of one colour.
+
+    Args:
+        depth_noise: Give the depth of a stereo camera (noise, steps, holes at edges) instead of the true one.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, depth_noise: bool = False) -> None:
+        self._noise = DepthNoise() if depth_noise else None
         self._loaded: World | None = None
         self._camera: Camera | None = None
         self._cameras: dict[str, RobotCamera] = {}
@@ -56,6 +61,8 @@ class PyBullet(Simulator):
     def reset(self) -> None:
         """Home pose, zero velocity, objects parked, faults cleared."""
         self._world.reset()
+        if self._noise is not None:
+            self._noise.reset()
 
     def set_joint_positions(self, q: FloatArray) -> None:
         """Teleport the robot to `q` (n,)."""
@@ -120,7 +127,8 @@ class PyBullet(Simulator):
     ) -> Rendering:
         """Take a picture; see the interface."""
         view = place_camera(camera, self._cameras, self._world.link_pose, look_at)
-        return self._open_camera().render(view, width, height, segmentation, shadows)
+        picture = self._open_camera().render(view, width, height, segmentation, shadows)
+        return picture if self._noise is None else self._noise.apply(picture)
 
     def set_appearance(
         self,
