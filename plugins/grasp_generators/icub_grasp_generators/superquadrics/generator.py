@@ -20,8 +20,10 @@ from icub_grasp_generators.superquadrics.shape import Superquadric
 from icub_grasp_generators.superquadrics.start import thin
 
 NAME = "superquadrics"
-BACK_OFF = (0.10, 0.05)
-"""Metres before the grasp where the hand must be able to stand too (thesis 12.3.1)."""
+
+_AT_GRASP = (0.0, 0.0)
+_WAY = (_AT_GRASP, (0.10, 0.0), (0.05, 0.0), (0.0, -0.10))
+"""Where the hand must be able to stand: metres before the grasp (thesis 12.3.1: 10 and 5 cm), metres below it."""
 
 _MIN_INLIERS = 0.5
 _CLOUD_POINTS = 250
@@ -113,8 +115,8 @@ class Superquadrics(GraspGenerator):
             grasps = [
                 Grasp(T, center, -float(c), NAME, hand) for T, c in zip(T_world_hand[part], cost[part], strict=True)
             ]
-            for distance in (0.0, *BACK_OFF):
-                grasps = self._at_distance(grasps, distance, robot, geometry, table)
+            for offset in _WAY:
+                grasps = self._kept(grasps, offset, robot, geometry, table)
             found += grasps
             if len(found) >= 2 * self._max_grasps:
                 break
@@ -128,32 +130,27 @@ class Superquadrics(GraspGenerator):
         return tuple(chosen)
 
     def _on_one_way(self, grasp: Grasp, robot: Robot, geometry: HandGeometry) -> bool:
-        """Say whether the arm comes from home to the first pre-grasp and from there, without a jump, to the grasp."""
+        """Say whether the arm gets from home to the first pre-grasp and from there, without a jump, along the way."""
         q = robot.description.home_q
         group = f"{grasp.hand}_reach"
-        for distance in (*BACK_OFF, 0.0):
-            T = grasp.backed_off(distance) if distance else grasp.T_world_hand
-            solution = robot.inverse_kinematics(T, q, geometry.frame, group=group)
-            if not solution.reached or (distance < BACK_OFF[0] and float(np.abs(solution.q - q).max()) > _MAX_JUMP):
+        for step, offset in enumerate(sorted(_WAY, reverse=True)):
+            solution = robot.inverse_kinematics(_on_way(grasp, offset), q, geometry.frame, group=group)
+            if not solution.reached or (step > 0 and float(np.abs(solution.q - q).max()) > _MAX_JUMP):
                 return False
             q = solution.q
         return True
 
-    def _at_distance(
-        self, grasps: list[Grasp], distance: float, robot: Robot, geometry: HandGeometry, table: Table | None
+    def _kept(
+        self, grasps: list[Grasp], offset: tuple[float, float], robot: Robot, geometry: HandGeometry, table: Table | None
     ) -> list[Grasp]:
-        """Keep the grasps whose hand can be `distance` before its pose; at 0, their posture is added to the cost."""
-        poses = [grasp.backed_off(distance) if distance else grasp.T_world_hand for grasp in grasps]
-        grasps = [
-            g
-            for g, T in zip(grasps, poses, strict=True)
-            if clears_table(geometry.hand.at(T), geometry.hand.radii, table)
-        ]
+        """Keep the grasps whose hand can be at an offset of the way; the grasp's own posture is added to its cost."""
+        free = [clears_table(geometry.hand.at(_on_way(g, offset)), geometry.hand.radii, table) for g in grasps]
+        grasps = [grasp for grasp, clear in zip(grasps, free, strict=True) if clear]
         if not grasps:
             return []
         home = robot.description.home_q
         solutions = robot.inverse_kinematics_batch(
-            [grasp.backed_off(distance) if distance else grasp.T_world_hand for grasp in grasps],
+            [_on_way(grasp, offset) for grasp in grasps],
             home,
             geometry.frame,
             group=f"{grasps[0].hand}_reach",
@@ -167,9 +164,16 @@ class Superquadrics(GraspGenerator):
                 forearm = geometry.forearm.at(robot.forward_kinematics(solution.q, geometry.forearm_link))
                 if not clears_table(forearm, geometry.forearm.radii, table):
                     continue
-            posture = float(np.sum((solution.q - home) ** 2)) if distance == 0.0 else 0.0
+            posture = float(np.sum((solution.q - home) ** 2)) if offset == _AT_GRASP else 0.0
             kept.append(dataclasses.replace(grasp, score=grasp.score - _POSTURE_WEIGHT * posture))
         return kept
+
+
+def _on_way(grasp: Grasp, offset: tuple[float, float]) -> FloatArray:
+    """Return the hand pose (4, 4) at (metres before, metres below) a grasp."""
+    T = grasp.backed_off(offset[0]) if offset[0] else grasp.T_world_hand.copy()
+    T[2, 3] -= offset[1]
+    return T
 
 
 def _mirrored(shape: Superquadric) -> Superquadric:
