@@ -432,9 +432,19 @@ def train_compact(
 
 
 def write_card(
-    path: Path, command: str, state: TrainingState, frames: int, unseen: int, figures: dict[str, float]
+    path: Path, command: str, state: TrainingState, frames: int, unseen: int, figures: dict[str, float], note: str = ""
 ) -> None:
-    """Write the card of weights: how to make them again, from what, how long it took, and how good they are."""
+    """Write the card of weights: how to make them again, from what, how long it took, and how good they are.
+
+    Args:
+        path: JSON file.
+        command: Line to type.
+        state: At the end of training.
+        frames: Training frames.
+        unseen: Frames that were evaluated.
+        figures: From `evaluation`.
+        note: What the other entries do not say.
+    """
     card = {
         "name": "compact",
         "command": command,
@@ -446,6 +456,7 @@ def write_card(
         "versions": versions(),
         "figures": {f"feature_task.{key}": round(value, 4) for key, value in figures.items()},
         "figures_n": unseen,
+        "note": note,
         "license": "BSD-3-Clause",
     }
     write_text_atomically(path, json.dumps(card, indent=2) + "\n")
