@@ -85,7 +85,7 @@ def test_a_function_is_no_plugin(install):
 def test_two_distributions_with_one_name_are_refused_but_only_that_name(install):
     install("first", {"icub.segmenter": {"same": TINY_SEGMENTER, "mine": TINY_SEGMENTER}})
     install("second", {"icub.segmenter": {"same": "elsewhere:Other"}})
-    with pytest.raises(PluginError, match=r"'same' is announced by several distributions: \w+ 1\.0, \w+ 1\.0"):
+    with pytest.raises(PluginError, match=r"'same' is announced by more than one distribution: \w+ 1\.0, \w+ 1\.0"):
         registry.load("segmenter", "same")
     assert registry.load("segmenter", "mine")
 

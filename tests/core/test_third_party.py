@@ -9,6 +9,9 @@ import pytest
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "third_party_plugin"
 
+LIGHT = ["~simulator", "~robot", "~objects"]
+"""Leaves out what takes seconds to import and does not matter here."""
+
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory) -> dict[str, str]:
@@ -50,15 +53,16 @@ def test_it_is_listed_with_its_description(installed):
 
 
 def test_its_signature_is_its_configuration(installed):
-    done = _icub(installed, "run", "grasp_generator=top_down", "grasp_generator.clearance=0.03", "--cfg", "job")
+    done = _icub(installed, "run", *LIGHT, "grasp_generator=top_down", "grasp_generator.clearance=0.03", "--cfg", "job")
     assert done.returncode == 0, done.stderr
     assert "grasp_generator:\n  plugin: top_down\n  clearance: 0.03\n" in done.stdout
-    done = _icub(installed, "run", "grasp_generator=top_down", "grasp_generator.clearence=0.03")
+    done = _icub(installed, "run", *LIGHT, "grasp_generator=top_down", "grasp_generator.clearence=0.03")
     assert done.returncode == 2
     assert "has no parameter 'clearence'. Did you mean 'clearance'?" in done.stderr
 
 
-def test_it_keeps_its_contract(installed):
+@pytest.mark.slow
+def test_it_keeps_its_contract_on_the_command_line(installed):
     done = _icub(installed, "plugins", "check", "grasp_generator", "top_down")
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -80,8 +84,8 @@ def test_a_broken_neighbour_does_not_disturb_it(installed, tmp_path):
     done = _icub(environment, "plugins", "list", "grasp_generator")
     assert done.returncode == 0
     assert {"broken", "top_down"} <= {row.split()[1] for row in done.stdout.splitlines()}
-    assert _icub(environment, "run", "grasp_generator=top_down", "--cfg", "job").returncode == 0
-    done = _icub(environment, "run", "grasp_generator=broken")
+    assert _icub(environment, "run", *LIGHT, "grasp_generator=top_down", "--cfg", "job").returncode == 0
+    done = _icub(environment, "run", *LIGHT, "grasp_generator=broken")
     assert done.returncode == 2
     (line,) = [row for row in done.stderr.splitlines() if row.startswith("icub: error")]
     assert "broken_plugin:Broken, from broken-plugin 1.0" in line
