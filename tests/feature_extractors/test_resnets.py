@@ -113,6 +113,7 @@ def test_c4_anchors_have_their_areas_and_ratios():
     assert torch.allclose(anchors[:, :2], -anchors[:, 2:])
 
 
+@pytest.mark.slow
 def test_detectron_pickles_are_read_without_running_them(tmp_path, c4_tensors, c4, image):
     content = {"model": {k: v.numpy() for k, v in c4_tensors.items()}, "__author__": "a test"}
     path = tmp_path / "model_final.pkl"
@@ -146,6 +147,7 @@ def test_c4_refuses_other_checkpoints(tmp_path, c4_tensors):
         ResNet50C4(str(tmp_path / "other.safetensors"))
 
 
+@pytest.mark.slow
 def test_c4_names_a_wrong_shape(tmp_path, c4_tensors):
     wrong = dict(c4_tensors)
     wrong["roi_heads.mask_head.deconv.bias"] = torch.zeros(7)
@@ -216,6 +218,7 @@ def test_coco_is_found_in_torch_hubs_folder(tmp_path, monkeypatch, torchvision_f
     assert extractor.region_features(extractor.extract(image), BOXES).shape == (2, 1024)
 
 
+@pytest.mark.slow
 def test_fpn_reads_names_from_before_torchvision_013(tmp_path, torchvision_model, image):
     old = {}
     for key, value in torchvision_model.state_dict().items():
