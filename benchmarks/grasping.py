@@ -1,0 +1,168 @@
+"""Success of the grasping policies on poses planned from the camera's cloud.
+
+    python benchmarks/grasping.py
+    python benchmarks/grasping.py --only resprect --objects 003_cracker_box --seconds 150
+
+`demonstrations`: the scripted teacher on sugar box, mustard bottle and potted meat can. `resprect`: the shipped base
+policy and what RESPRECT makes of it within its budget, on the same test starts, which neither learning nor the choice of
+the best residual has seen.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch: the networks are small, the worlds use the cores
+
+import argparse
+import logging
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress, TimeElapsedColumn
+
+from icub_core import registry
+from icub_core.evaluation.results import Figure, write_results
+from icub_core.grasping.env import GraspEnv
+from icub_core.grasping.evaluation import EpisodeResults, merge, paired_gain, run_episodes
+from icub_core.grasping.task import GraspTask, StartState
+from icub_core.interfaces.policy import Policy
+from icub_core.scene import Scene
+
+RESULTS = Path(__file__).resolve().parent / "results" / "grasping.json"
+EASY = ["004_sugar_box", "006_mustard_bottle", "010_potted_meat_can"]
+HARD = ["003_cracker_box"]
+"""Objects on which the shipped base policy stays under 0.9."""
+TEST_SEED = 1_000
+BASE = "base_gpayn"
+
+
+def build_env(name: str, worlds: int, threads: int, seed: int) -> GraspEnv:
+    """Return worlds with one YCB object each."""
+    robot = registry.build("robot", "icub")
+    generator = registry.build("grasp_generator", "superquadrics")
+    spec = registry.build("objects", "ycb_primitives").get(name)
+    tasks = []
+    for world in range(worlds):
+        simulator = registry.build("simulator", "mujoco")
+        simulator.load(robot.description, Scene(objects=(spec,)))
+        tasks.append(GraspTask(simulator, robot, generator, [name], seed=seed + world))
+    return GraspEnv(tasks, pool_size=16, threads=threads, seed=seed)
+
+
+class Tests:
+    """Test starts of one environment, planned once, each from its own picture."""
+
+    def __init__(self, env: GraspEnv, episodes: int, bar: Progress) -> None:
+        self._env, self._episodes, self._bar = env, episodes, bar
+        tasks = env.batch.tasks
+        before = sum(sum(task.plan_failures.values()) for task in tasks)
+        self._starts: list[StartState] = []
+        name = tasks[0].objects[0]
+        for episode in bar.track(range(episodes), description=f"plans for {name}"):
+            rng = np.random.default_rng([TEST_SEED, episode])
+            self._starts.append(tasks[episode % len(tasks)].prepare(rng))
+        self.redraws = sum(sum(task.plan_failures.values()) for task in tasks) - before
+
+    def __call__(self, policy: Policy, title: str) -> EpisodeResults:
+        """Evaluate a policy on all of them."""
+        line = self._bar.add_task(title, total=1.0)
+        return run_episodes(
+            policy,
+            self._env,
+            self._episodes,
+            lambda world, episode: self._starts[episode],
+            progress=lambda share, text: self._bar.update(line, completed=share, description=f"{title}: {text}"),
+        )
+
+
+def rate(results: EpisodeResults) -> Figure:
+    """Return a success rate with its 95 % Wilson interval."""
+    return Figure(results.success_rate, "1", results.interval, len(results))
+
+
+def demonstrations(options: argparse.Namespace, bar: Progress) -> dict[str, Figure]:
+    """Measure the scripted teacher on the easy objects."""
+    figures, everything, redraws = {}, [], 0
+    for name in options.objects or EASY:
+        env = build_env(name, options.worlds, options.threads, options.seed)
+        tests = Tests(env, options.episodes, bar)
+        results = tests(registry.build("policy", "demonstrations"), f"demonstrations, {name}")
+        figures[f"demonstrations.success_rate.{name}"] = rate(results)
+        everything.append(results)
+        redraws += tests.redraws
+        env.close()
+    together = merge(everything)
+    figures["demonstrations.success_rate"] = rate(together)
+    poses = redraws + len(together)
+    figures["demonstrations.poses_without_plan"] = Figure(redraws / poses, "1", None, poses)
+    return figures
+
+
+def resprect(options: argparse.Namespace, bar: Progress) -> dict[str, Figure]:
+    """Measure base policy and RESPRECT on the same starts of each hard object."""
+    figures, before, after = {}, [], []
+    for name in options.objects or HARD:
+        env = build_env(name, options.worlds, options.threads, options.seed)
+        policy = registry.build(
+            "policy", {"plugin": "resprect", "base": BASE, "seconds": options.seconds, "seed": options.seed}
+        )
+        line = bar.add_task(f"resprect learns {name}", total=1.0)
+        with tempfile.TemporaryDirectory() as folder:
+            report = policy.learn(env, Path(folder), lambda share, text: bar.update(line, completed=share, description=text))
+        tests = Tests(env, options.episodes, bar)
+        base = tests(registry.build("policy", {"plugin": "gpayn", "weights": BASE}), f"base, {name}")
+        learned = tests(policy, f"resprect, {name}")
+        gain, interval = paired_gain(learned, base)
+        figures |= {
+            f"resprect.base_success_rate.{name}": rate(base),
+            f"resprect.success_rate.{name}": rate(learned),
+            f"resprect.gain.{name}": Figure(gain, "1", interval, len(base)),
+            f"resprect.learn_seconds.{name}": Figure(report.seconds, "s"),
+            f"resprect.learn_env_steps.{name}": Figure(report.env_steps, "1"),
+            f"resprect.learn_updates.{name}": Figure(report.updates, "1"),
+            f"resprect.base_steps.{name}": Figure(float(base.steps.mean()), "1", float(base.steps.std()), len(base)),
+            f"resprect.steps.{name}": Figure(float(learned.steps.mean()), "1", float(learned.steps.std()), len(base)),
+        }
+        before.append(base)
+        after.append(learned)
+        env.close()
+    gain, interval = paired_gain(merge(after), merge(before))
+    figures["resprect.gain"] = Figure(gain, "1", interval, sum(map(len, before)))
+    figures["resprect.base_success_rate"], figures["resprect.success_rate"] = rate(merge(before)), rate(merge(after))
+    return figures
+
+
+PARTS = {"demonstrations": demonstrations, "resprect": resprect}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", choices=sorted(PARTS), help="measure this part alone")
+    parser.add_argument("--objects", nargs="+", help="YCB objects instead of the part's own")
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--worlds", type=int, default=16)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--seconds", type=float, default=150.0, help="wall-clock budget of resprect")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    options = parser.parse_args(arguments)
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    command = "python benchmarks/grasping.py"
+    for name in PARTS if options.only is None else [options.only]:
+        with Progress(*Progress.get_default_columns(), TimeElapsedColumn()) as bar:
+            figures = PARTS[name](options, bar)
+        objects = f" --objects {' '.join(options.objects)}" if options.objects else ""
+        write_results(
+            options.results, command=f"{command} --only {name}{objects}", seed=options.seed, figures=figures
+        )  # fmt: skip
+        for key, figure in figures.items():
+            Console().print(f"{key}: {figure.value:.4g} {figure.spread if figure.spread is not None else ''}")
+
+
+if __name__ == "__main__":
+    main()
