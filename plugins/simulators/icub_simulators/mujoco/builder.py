@@ -41,6 +41,7 @@ def build_spec(robot: RobotDescription | None, scene: Scene, visual: bool) -> mu
     spec.modelname = "icub-kit"
     option = spec.option
     option.timestep = scene.timestep
+    option.gravity = [0.0, 0.0, 0.0]  # weights are forces: see Physics
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -108,7 +109,7 @@ def _add_table(spec: mujoco.MjSpec, table: Table, visual: bool) -> None:
 def _add_object(
     spec: mujoco.MjSpec, item: ObjectSpec, number: int, visual: bool, meshes: dict[tuple[str, float], str]
 ) -> None:
-    body = spec.worldbody.add_body(name=OBJECT_PREFIX + item.name, pos=parking_place(number), gravcomp=1.0)
+    body = spec.worldbody.add_body(name=OBJECT_PREFIX + item.name, pos=parking_place(number))
     body.add_freejoint()
     shown = visual and bool(item.visual)
     for piece in item.collision:

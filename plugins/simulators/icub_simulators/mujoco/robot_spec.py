@@ -77,8 +77,6 @@ def _place_root(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
     root = spec.worldbody.first_body()
     root.pos = robot.T_world_root[:3, 3]
     root.quat = matrix_to_quat_wxyz(robot.T_world_root[:3, :3])
-    for body in spec.bodies[1:]:
-        body.gravcomp = 1.0 if robot.gravity_compensation else 0.0
 
 
 def _set_joints(spec: mujoco.MjSpec, robot: RobotDescription) -> None:

@@ -113,7 +113,8 @@ class World:
                     self.body, self._joints, client.VELOCITY_CONTROL, targetVelocities=velocities, forces=torques
                 )
                 for link, mass in self._weights:
-                    client.applyExternalForce(self.body, link, [0, 0, -GRAVITY * mass], [0, 0, 0], client.LINK_FRAME)
+                    center = client.getLinkState(self.body, link)[0]
+                    client.applyExternalForce(self.body, link, [0, 0, -GRAVITY * mass], center, client.WORLD_FRAME)
             for number in np.flatnonzero(~self.parked):
                 self._pull_down(int(number))
             client.stepSimulation()
