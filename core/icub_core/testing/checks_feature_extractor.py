@@ -113,3 +113,42 @@ def check_tells_apart(make: Make) -> None:
     plugin = make()
     regions = plugin.region_features(plugin.extract(_image()), _boxes())
     expect(not torch.allclose(regions[0], regions[1]), "different features of different objects", "the same")
+
+
+def check_refined_boxes(make: Make) -> None:
+    """Refinement gives a box for a box, in original pixels, and none for none."""
+    plugin = make()
+    found = plugin.extract(_image())
+    refined = plugin.refined_boxes(found, _boxes())
+    expect_tensor(refined, (3, 4), "refined boxes")
+    expect(bool((refined[:, 2:] >= refined[:, :2]).all()), "x0 <= x1 and y0 <= y1", refined.tolist())
+    middle = (refined[0, :2] + refined[0, 2:]) / 2
+    expect(
+        bool(((middle > 0) & (middle < torch.tensor([160.0, 120.0]))).all()),
+        "a middle inside the image",
+        middle.tolist(),
+    )
+    expect_tensor(plugin.refined_boxes(found, torch.zeros((0, 4))), (0, 4), "refined boxes of no box")
+
+
+def check_mask_probabilities(make: Make) -> None:
+    """A pre-trained mask branch, where there is one, gives a share of 0..1 a pixel of a box."""
+    plugin = make()
+    if not hasattr(plugin, "mask_probabilities"):
+        return
+    masks = plugin.mask_probabilities(plugin.extract(_image()), _boxes())
+    expect_tensor(masks, (3, plugin.mask_size, plugin.mask_size), "mask probabilities")
+    expect(bool(((masks >= 0) & (masks <= 1)).all()), "probabilities in 0..1", (float(masks.min()), float(masks.max())))
+
+
+def check_rpn_cells(make: Make) -> None:
+    """Cells for an on-line region proposal network, where there are any, agree in number with their anchors."""
+    plugin = make()
+    cells = plugin.rpn_cells(plugin.extract(_image()))
+    if cells is None:
+        return
+    locations, anchors = cells.anchors.shape[:2]
+    expect_tensor(cells.features, (locations, cells.features.shape[-1]), "features of cells")
+    expect_tensor(cells.anchors, (locations, anchors, 4), "anchors")
+    expect(cells.types.shape == (locations, anchors), f"types of ({locations}, {anchors})", tuple(cells.types.shape))
+    expect(cells.types.dtype == torch.int64 and int(cells.types.min()) == 0, "int64 types from 0", cells.types.dtype)

@@ -8,6 +8,7 @@ from icub_core.data import FloatArray
 from icub_core.errors import ConfigError
 from icub_core.geometry import is_rigid, rotation_log
 from icub_core.interfaces.robot import Robot
+from icub_core.scene import Table
 from icub_core.testing.checks import Make
 from icub_core.testing.expect import expect, expect_close, expect_raises, expect_same
 
@@ -175,3 +176,39 @@ def check_ik_batch(make: Make) -> None:
     expect(len(answers) == 3, "3 answers to 3 targets", len(answers))
     none = robot.inverse_kinematics_batch(np.zeros((0, 4, 4)), robot.description.home_q, _hand(robot))
     expect(len(none) == 0, "no answers to no targets", len(none))
+
+
+def check_gaze(make: Make) -> None:
+    """Gaze control, where there is any, turns only some joints, within their limits, and answers out of reach too."""
+    robot = make()
+    d = robot.description
+    if not d.cameras:
+        return
+    camera = d.cameras[0].name
+    for point in ([-0.4, 0.0, 1.0], [-0.3, 0.2, 1.1], [5.0, 0.0, 1.0]):
+        start = d.home_q
+        try:
+            answer = robot.gaze(np.array(point), start, camera)
+        except ConfigError:
+            return  # a robot without a neck says so
+        inside = (answer.q >= d.lower - 1e-9) & (answer.q <= d.upper + 1e-9)
+        expect(inside.all(), "joints within their limits", [d.joint_names[i] for i in np.nonzero(~inside)[0]])
+        expect_same(start, d.home_q, "the start before and after")
+        reach = d.indices(REACH_GROUP)
+        expect_same(answer.q[reach], d.home_q[reach], "joints that carry the hand")
+        expect(np.isfinite(answer.angle) and answer.angle >= 0, "an angle of 0 or more", answer.angle)
+
+
+def check_collisions(make: Make) -> None:
+    """A collision check, where there is any, finds nothing at home, and the table when the hand is in it."""
+    robot = make()
+    d = robot.description
+    try:
+        touching = robot.collisions(d.home_q, Table())
+    except ConfigError:
+        return  # a robot without collision shapes says so
+    expect(touching == (), "no contacts at home", touching)
+    hand = robot.forward_kinematics(d.home_q, _hand(robot))[:3, 3]
+    around_the_hand = Table(center=(float(hand[0]), float(hand[1]), float(hand[2])))
+    found = robot.collisions(d.home_q, around_the_hand)
+    expect(any("table" in pair for pair in found), "a contact with a table around the hand", found or "none")

@@ -8,10 +8,10 @@ from contextlib import contextmanager
 import numpy as np
 
 from icub_core.data import FloatArray
-from icub_core.errors import ConfigError, IcubError
+from icub_core.errors import ConfigError, IcubError, SimulationError
 from icub_core.geometry import look_at, make_transform
 from icub_core.interfaces.simulator import Fault, Simulator
-from icub_core.scene import CameraView, Scene
+from icub_core.scene import CameraView, Material, Scene
 from icub_core.testing.checks import Make
 from icub_core.testing.expect import expect, expect_close, expect_raises, expect_same
 from icub_core.testing.tiny.robot import CAMERA, HAND_FRAME, TinyRobot
@@ -140,6 +140,31 @@ def check_kinematics(make: Make) -> None:
         simulator.set_joint_positions(q)
         for link in (HAND_FRAME, *d.fingertips["right"]):
             expect_close(simulator.link_pose(link), robot.forward_kinematics(q, link), 1e-6, f"the pose of '{link}'")
+
+
+def check_shortcuts(make: Make) -> None:
+    """Joint and actuator positions asked for alone are those of the robot's state."""
+    with _world(make) as simulator:
+        simulator.set_targets(simulator.actuator_positions() + 0.05)
+        simulator.step(10)
+        state = simulator.robot_state()
+        expect_close(simulator.joint_positions(), state.q, 1e-12, "joint positions and those of the state")
+        expect_close(simulator.actuator_positions(), state.actuator_positions, 1e-12, "lengths and those of the state")
+
+
+def check_appearance(make: Make) -> None:
+    """Looks, where they can be changed, change pictures and nothing else."""
+    view = _from_above(-0.35, 0.0)
+    with _world(make) as simulator:
+        before, state = simulator.render(view, 40, 30).frame, simulator.save_state()
+        try:
+            simulator.set_appearance(table=Material(rgba=(0.1, 0.9, 0.1, 1.0)))
+        except SimulationError:
+            return  # a simulator that cannot says so
+        after = simulator.render(view, 40, 30).frame
+        expect(not np.array_equal(before.rgb, after.rgb), "another picture of a green table", "the same")
+        expect_same(before.depth, after.depth, "depth before and after")
+        expect_same(state, simulator.save_state(), "the state before and after")
 
 
 def check_targets(make: Make) -> None:

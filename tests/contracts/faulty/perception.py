@@ -9,6 +9,7 @@ import torch
 
 from icub_core.data import Instance
 from icub_core.errors import CheckpointError
+from icub_core.interfaces.feature_extractor import RpnCells
 from icub_core.testing.tiny.perception import TinyFeatureExtractor, TinyHead, TinySegmenter
 
 from .base import breaks
@@ -256,3 +257,21 @@ class ForgetsBeforeItReads(TinySegmenter):
         except CheckpointError:
             self._known = {}
             raise
+
+
+@breaks("feature_extractor", "check_refined_boxes")
+class RefinesToSize(TinyFeatureExtractor):
+    def refined_boxes(self, features, boxes):
+        return torch.cat([boxes[:, :2], boxes[:, 2:] - 2 * boxes[:, :2]], dim=1)
+
+
+@breaks("feature_extractor", "check_mask_probabilities")
+class MasksAreScores(TinyFeatureExtractor):
+    def mask_probabilities(self, features, boxes):
+        return 4 * self.mask_features(features, boxes)[..., 0] - 2
+
+
+@breaks("feature_extractor", "check_rpn_cells")
+class CellsWithoutTheirAnchors(TinyFeatureExtractor):
+    def rpn_cells(self, features):
+        return RpnCells(torch.zeros((6, 8)), torch.zeros((5, 3, 4)), torch.zeros((5, 3), dtype=torch.int64))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from icub_core.data import Instance
+from icub_core.interfaces.robot import GazeSolution
 from icub_core.scene import Scene
 from icub_core.testing.tiny.robot import TinyRobot, _describe
 from icub_core.testing.tiny.simulator import TinySimulator
@@ -97,6 +98,34 @@ class NeedsTargets(TinyRobot):
     def inverse_kinematics_batch(self, T_world_frames, q_start, frame, **options):
         np.concatenate([T[None] for T in T_world_frames])
         return super().inverse_kinematics_batch(T_world_frames, q_start, frame, **options)
+
+
+@breaks("robot", "check_gaze")
+class TurnsItsHeadOff(TinyRobot):
+    def gaze(self, point, q_start, camera="head_cam"):
+        q = q_start.copy()
+        q[-1] = 10.0
+        return GazeSolution(q, True, 0.0)
+
+
+@breaks("robot", "check_collisions")
+class BumpsIntoItself(TinyRobot):
+    def collisions(self, q, table=None, margin=0.0):
+        return (("tiny_hand", "thumb_base"),)
+
+
+@breaks("simulator", "check_shortcuts")
+class CommandedNotMeasured(TinySimulator):
+    def actuator_positions(self):
+        super().actuator_positions()
+        return self._targets
+
+
+@breaks("simulator", "check_appearance")
+class MovesWhatItPaints(TinySimulator):
+    def set_appearance(self, *, table=None, floor=None, backdrop=None, lights=None):
+        lower = replace(self.scene.table, material=table, center=(-0.68, 0.0, 0.85))
+        self._scene = replace(self.scene, table=lower)
 
 
 @breaks("simulator", "check_before_load")
