@@ -65,24 +65,24 @@ def save_png(name: str, image: Image) -> None:
         picture = picture.resize((int(0.9 * picture.width), int(0.9 * picture.height)), Pillow.Resampling.LANCZOS)
 
 
-def save_gif(name: str, frames: Sequence[Image], seconds: Sequence[float]) -> None:
-    """Write an endless GIF, smaller and with fewer colours until it fits into the limit."""
-    path, width, colours = FOLDER / f"{name}.gif", frames[0].shape[1], 128
+def save_gif(name: str, stills: Sequence[Image], film: Sequence[Image], seconds: Sequence[float]) -> None:
+    """Write an endless GIF of still pictures and a film, smaller until it fits into the limit."""
+    path, width = FOLDER / f"{name}.gif", film[0].shape[1]
     while True:
-        size = (width, round(width * frames[0].shape[0] / frames[0].shape[1]))
-        small = [Pillow.fromarray(f).resize(size, Pillow.Resampling.LANCZOS) for f in frames]
-        # one palette for all frames: unchanged pixels stay the same and compress to nothing
-        palette = Pillow.fromarray(np.concatenate([np.asarray(f) for f in small[:: max(1, len(small) // 8)]]))
-        palette = palette.quantize(colours)
-        drawn = [f.quantize(palette=palette, dither=Pillow.Dither.NONE) for f in small]
+        size = (width, round(width * film[0].shape[0] / film[0].shape[1]))
+        small = [Pillow.fromarray(f).resize(size, Pillow.Resampling.LANCZOS) for f in (*stills, *film)]
+        # one palette for the film: what does not move stays the same and compresses to nothing
+        middle = small[len(stills) + len(film) // 2].quantize(128, kmeans=4)
+        drawn = [f.quantize(128, kmeans=2, dither=Pillow.Dither.NONE) for f in small[: len(stills)]]
+        drawn += [f.quantize(palette=middle, dither=Pillow.Dither.NONE) for f in small[len(stills) :]]
         buffer = io.BytesIO()
         durations = [int(1000 * s) for s in seconds]
         drawn[0].save(buffer, "gif", save_all=True, append_images=drawn[1:], duration=durations, loop=0, optimize=False)
         if buffer.tell() <= MOST_GIF:
             path.write_bytes(buffer.getvalue())
-            logger.info("%s: %d x %d, %d frames, %d kB", path, *size, len(frames), buffer.tell() // 1000)
+            logger.info("%s: %d x %d, %d frames, %d kB", path, *size, len(drawn), buffer.tell() // 1000)
             return
-        width, colours = int(0.9 * width), max(48, int(0.8 * colours))
+        width = int(0.92 * width)
 
 
 @dataclass
@@ -365,25 +365,22 @@ def main_job(run_folder: Path | None = None) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = run_folder or Path(temporary)
         if run_folder is None:
-            command = "run +segmenter=falkon +policy=demonstrations pipeline.see.frames=10 pipeline.grasp.episodes=4"
-            words = [
-                *command.split(),
-                "pipeline.grasp.video_episodes=4",
-                "pipeline.grasp.worlds=4",
-                f"run_dir={folder}",
-            ]
-            subprocess.run([sys.executable, "-m", "icub_core.cli", *words], check=True)
+            job = "run +segmenter=falkon +policy=demonstrations pipeline.see.frames=16 pipeline.grasp.worlds=4"
+            more = f"pipeline.grasp.episodes=4 pipeline.grasp.video_episodes=4 run_dir={folder}"
+            subprocess.run([sys.executable, "-m", "icub_core.cli", *job.split(), *more.split()], check=True)
         taught, seen = iio.imread(folder / "taught.png"), iio.imread(folder / "seen.png")
         film = iio.imread(folder / "grasp.gif")
-    save_png("taught", taught)
-    save_png("found", seen)
-    tiles = [*split(taught, 240, 320)[:4], *split(seen, 240, 320)[:6]]
-    titles = ["1  taught by showing, masks from depth"] * 4 + ["2  found on a table it never saw, among strangers"] * 6
-    frames = [titled(tile, title) for tile, title in zip(tiles, titles, strict=False)]
-    seconds = [0.9] * len(frames)
-    frames += [titled(picture[..., :3], "3  grasped: pose from a superquadric, closed loop") for picture in film]
-    seconds += [0.1] * (len(film) - 1) + [1.5]
-    save_gif("main_job", frames, seconds)
+    save_png("taught", contact_sheet(split(taught, 240, 320)[:4], 4))
+    save_png("found", contact_sheet(split(seen, 240, 320)[:6], 3))
+    shown = [("1  taught by showing, masks from depth", tile) for tile in split(taught, 240, 320)]
+    shown += [("2  found on tables it never saw, among strangers", tile) for tile in split(seen, 240, 320)]
+    stills = [titled(tile, title) for title, tile in shown]
+    # the second half of the film, at twice its speed
+    frames = [
+        titled(picture[..., :3], "3  planned and grasped (twice real time)") for picture in film[len(film) // 2 :: 2]
+    ]
+    seconds = [0.9] * len(stills) + [0.1] * (len(frames) - 1) + [1.5]
+    save_gif("main_job", stills, frames, seconds)
 
 
 def split(sheet: Image, height: int, width: int) -> list[Image]:
