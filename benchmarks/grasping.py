@@ -4,8 +4,8 @@
     python benchmarks/grasping.py --only resprect --objects 003_cracker_box --seconds 150
 
 `demonstrations`: the scripted teacher on sugar box, mustard bottle and potted meat can. `resprect`: the shipped base
-policy and what RESPRECT makes of it within its budget, on the same test starts, which neither learning nor the choice of
-the best residual has seen.
+policy and what RESPRECT makes of it within its budget, on the same test starts, which neither learning nor the choice
+of the best residual has seen.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch: the networks are 
 import argparse
 import logging
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -69,14 +69,20 @@ class Tests:
 
     def __call__(self, policy: Policy, title: str) -> EpisodeResults:
         """Evaluate a policy on all of them."""
-        line = self._bar.add_task(title, total=1.0)
+        starts = self._starts
         return run_episodes(
             policy,
             self._env,
             self._episodes,
-            lambda world, episode: self._starts[episode],
-            progress=lambda share, text: self._bar.update(line, completed=share, description=f"{title}: {text}"),
+            lambda world, episode: starts[episode],
+            progress=shown_in(self._bar, title),
         )
+
+
+def shown_in(bar: Progress, title: str) -> Callable[[float, str], None]:
+    """Return a progress callback with a line of its own."""
+    line = bar.add_task(title, total=1.0)
+    return lambda share, text: bar.update(line, completed=share, description=f"{title}: {text}")
 
 
 def rate(results: EpisodeResults) -> Figure:
@@ -110,9 +116,8 @@ def resprect(options: argparse.Namespace, bar: Progress) -> dict[str, Figure]:
         policy = registry.build(
             "policy", {"plugin": "resprect", "base": BASE, "seconds": options.seconds, "seed": options.seed}
         )
-        line = bar.add_task(f"resprect learns {name}", total=1.0)
         with tempfile.TemporaryDirectory() as folder:
-            report = policy.learn(env, Path(folder), lambda share, text: bar.update(line, completed=share, description=text))
+            report = policy.learn(env, Path(folder), shown_in(bar, f"resprect learns {name}"))
         tests = Tests(env, options.episodes, bar)
         base = tests(registry.build("policy", {"plugin": "gpayn", "weights": BASE}), f"base, {name}")
         learned = tests(policy, f"resprect, {name}")

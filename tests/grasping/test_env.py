@@ -71,7 +71,7 @@ def test_translation_and_rotation_actions_do_what_they_say(env):
         now["action"] = action
         now = env.advance(now)
     moved = now["hand_pose"] - before["hand_pose"]
-    assert moved[:, 2].numpy() == pytest.approx(0.02, abs=3e-3)  # 10 steps of 2 mm, minus the servo's lag
+    assert moved[:, 2].numpy() == pytest.approx(0.02, abs=5e-3)  # 10 steps of 2 mm, minus the servo's lag
     assert moved[:, 3].numpy() == pytest.approx(0.05, abs=2e-2)
 
 

@@ -60,7 +60,7 @@ def test_a_residual_starts_from_the_base_policy_s_critics(base_file):
     for name, value in base.sac.critics.state_dict().items():
         assert torch.equal(residual.sac.critics.state_dict()[name], value)
         assert torch.equal(residual.sac.targets.state_dict()[name], base.sac.targets.state_dict()[name])
-    assert residual.sac.log_alpha.exp().item() == pytest.approx(0.01)
+    assert residual.sac.log_alpha.exp().item() == pytest.approx(0.01 * residual.sac.settings.reward_scale)
 
 
 def test_a_frozen_base_has_no_gradient(base_file):

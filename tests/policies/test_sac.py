@@ -66,9 +66,11 @@ def torchrl_losses(sac: Sac, data: Batch, seed: int, monkeypatch) -> tuple[Tenso
         distribution_class=TanhNormal,
         return_log_prob=True,
     )
-    values = [ValueOperator(OneCritic(sac.critics, i), in_keys=["observation", "action"]) for i in range(2)]
+    values = [
+        ValueOperator(OneCritic(sac.critics, i), in_keys=["observation", "action"]) for i in range(SETTINGS.critics)
+    ]
     loss = SACLoss(
-        actor, values, num_qvalue_nets=2, loss_function="l2", alpha_init=sac.settings.alpha,
+        actor, values, num_qvalue_nets=SETTINGS.critics, loss_function="l2", alpha_init=sac.settings.alpha,
         target_entropy=sac.settings.target_entropy, delay_qvalue=False, deactivate_vmap=True,
     )  # fmt: skip
     loss.make_value_estimator(loss.default_value_estimator, gamma=0.9)

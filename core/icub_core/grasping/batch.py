@@ -38,8 +38,10 @@ Observation = dict[str, NDArray[np.float32]]
 
 
 LARGEST_LEAD, LARGEST_TURN = 0.01, 0.15
-"""Metres and radians that the commanded hand pose may lie beyond what the arm reaches; DIFF: unlimited in the thesis, where
-drifting out of reach ends the episode. Here the command stops at the edge and only a solver that diverges is a fault."""
+"""Metres and radians that the commanded hand pose may lie beyond what the arm reaches.
+
+DIFF: unlimited in the thesis, where drifting out of reach ends the episode; here the command waits at the edge, and
+only a solver that diverges is a fault."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,7 +134,7 @@ class GraspEnv(EnvBase):
         return TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
 
     def save(self) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-        """Return everything that decides the future: worlds, partial episodes, starts (arrays), random numbers (texts)."""
+        """Return everything that decides the future: worlds, episodes and starts as arrays, random numbers as text."""
         arrays: dict[str, np.ndarray] = {f"batch.{k}": v for k, v in self.batch.state().items()}
         texts = {}
         for world, pool in enumerate(self.pools):

@@ -31,7 +31,7 @@ class GymGraspEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.float
     def __init__(self, task: GraspTask, render_width: int = 320, render_height: int = 240) -> None:
         self.render_mode = "rgb_array"
         self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
-        self.observation_space = spaces.Dict(
+        self.observation_space: spaces.Dict = spaces.Dict(  # type: ignore[assignment]
             {name: spaces.Box(-np.inf, np.inf, (size,), np.float32) for name, size in OBSERVATION_SIZES.items()}
         )
         self._task = task

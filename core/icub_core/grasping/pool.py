@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from icub_core.data import Grasp
 from icub_core.grasping.plan import GraspPlan
 from icub_core.grasping.task import GraspTask, StartState
 
-Arrays = dict[str, NDArray[np.generic]]
+Arrays = dict[str, NDArray[Any]]
 
 
 class StartPool:
@@ -74,7 +75,7 @@ def pack_starts(starts: Sequence[StartState]) -> Arrays:
     if not starts:
         return {}
     names = [[s.plan.object_name, s.plan.grasp.generator, s.plan.grasp.hand] for s in starts]
-    rows = {
+    rows: dict[str, list[Any]] = {
         "simulation": [s.simulation for s in starts],
         "q_command": [s.q_command for s in starts],
         "target": [s.target for s in starts],
@@ -98,11 +99,10 @@ def unpack_starts(arrays: Arrays) -> list[StartState]:
     """Read what `pack_starts` wrote."""
     if not arrays:
         return []
-    rows: dict[str, NDArray[np.float64]] = {
-        name: np.asarray(values, dtype=np.float64) for name, values in arrays.items() if name != "names"
-    }
+    rows = {name: np.asarray(values, dtype=np.float64) for name, values in arrays.items() if name != "names"}
+    names: list[tuple[str, str, str]] = json.loads(arrays["names"].tobytes())
     starts = []
-    for i, (object_name, generator, hand) in enumerate(json.loads(bytes(arrays["names"].tobytes()))):
+    for i, (object_name, generator, hand) in enumerate(names):
         grasp = Grasp(rows["T_world_hand"][i], rows["object_center"][i], float(rows["score"][i]), generator, hand)
         plan = GraspPlan(object_name, grasp, rows["T_far"][i], rows["T_near"][i], rows["q_far"][i])
         start = (rows[name][i] for name in ("simulation", "q_command", "target", "command", "object_rest"))

@@ -25,7 +25,7 @@ DEMONSTRATION_STEPS = 300_000
 """Most control steps of all worlds together that are kept."""
 IMITATION_UPDATES = 4_000
 WARM_UP_UPDATES = 2_000
-CRITIC_UPDATES = 1_000
+CRITIC_UPDATES = 10_000
 IMITATION = 2.0
 
 

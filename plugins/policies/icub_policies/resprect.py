@@ -20,7 +20,9 @@ from icub_policies.sac import Sac, SacSettings
 from icub_policies.training import Trainer, TrainingSettings
 
 ENTROPY_COEFFICIENT = 0.01
-"""Where the coefficient starts (thesis table 13.1)."""
+"""Where the coefficient starts, in units of the task's reward (thesis table 13.1)."""
+CRITIC_UPDATES = 1_500
+"""Updates of the critics on the object at hand before the residual begins to move."""
 
 
 class Resprect(Policy):
@@ -61,7 +63,8 @@ class Resprect(Policy):
             raise CheckpointError(f"{path} holds no base policy; expected a file written by gpayn") from None
         self.base = Actor(PROPRIOCEPTIVE_SIZE, ACTION_SIZE, hidden).requires_grad_(False)
         load_into(self.base, tensors, "actor.", path)
-        settings = SacSettings(hidden=hidden, alpha=ENTROPY_COEFFICIENT)
+        scale = SacSettings().reward_scale
+        settings = SacSettings(hidden=hidden, alpha=ENTROPY_COEFFICIENT * scale, learning_rate=1e-4)
         self.sac = Sac(PROPRIOCEPTIVE_SIZE, ACTION_SIZE, settings, residual=True, seed=seed)
         self.sac.load_critics(tensors, path)
         self.settings = TrainingSettings(
@@ -69,7 +72,8 @@ class Resprect(Policy):
             env_steps=env_steps,
             updates_per_step=updates_per_step,
             warm_up_steps=warm_up_steps,
-            evaluate_every=20_000,
+            critic_updates=CRITIC_UPDATES,
+            evaluate_every=10_000,
         )
 
     def act(self, observation: TensorDictBase) -> torch.Tensor:

@@ -17,9 +17,6 @@ from icub_policies.checkpoint import adam_state, load_adam_state, load_into
 from icub_policies.networks import Actor, Critics
 from icub_policies.replay import Batch
 
-LOG_STD = -2.7
-"""Start of the actor's log standard deviation: wider noise (0.14 and more) makes most scripted-quality grasps fail."""
-
 
 @dataclass(frozen=True)
 class SacSettings:
@@ -36,7 +33,10 @@ class SacSettings:
         alpha: Entropy coefficient at the start.
         actor_every: Critic updates between two actor updates.
         reward_scale: Rewards are multiplied by it.
+        log_std: Start of the actor's log standard deviation.
         hidden: Units of a layer.
+        critics: Size of the ensemble, of which the least value counts (thesis 2): more doubt about new actions.
+        caution: Weight of the squared residual in a residual actor's loss, relative to the size of the values.
     """
 
     gamma: float = 0.99
@@ -45,11 +45,14 @@ class SacSettings:
     learning_rate: float = 3e-4
     critic_learning_rate: float = 1e-3
     batch: int = 256
-    target_entropy: float = -22.5
+    target_entropy: float = -15.0
     alpha: float = 0.002
     actor_every: int = 2
     reward_scale: float = 0.05
+    log_std: float = -2.0
     hidden: int = 128
+    critics: int = 4
+    caution: float = 0.0
 
 
 class Sac:
@@ -69,8 +72,8 @@ class Sac:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             inputs = states + actions if residual else states
-            self.actor = Actor(inputs, actions, settings.hidden, log_std=LOG_STD, zero_mean=residual)
-            self.critics = Critics(states, actions, settings.hidden)
+            self.actor = Actor(inputs, actions, settings.hidden, log_std=settings.log_std, zero_mean=residual)
+            self.critics = Critics(states, actions, settings.hidden, settings.critics)
         self.targets = copy.deepcopy(self.critics).requires_grad_(False)
         self.log_alpha = torch.tensor(settings.alpha).log().requires_grad_()
         self.generator = torch.Generator().manual_seed(seed)
@@ -93,10 +96,10 @@ class Sac:
         """Return what is executed and judged: the action, or clip(base + residual, -1, 1)."""
         return (base + action).clamp(-1.0, 1.0) if self.residual else action
 
-    def explore(self, state: torch.Tensor, base: torch.Tensor) -> torch.Tensor:
-        """Sample the learned part (B, a)."""
+    def explore(self, state: torch.Tensor, base: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+        """Return the learned part (B, a) made from standard normal `noise` (B, a)."""
         with torch.no_grad():
-            return self.actor.sample(self.actor_input(state, base), self.noise(len(state)))[0]
+            return self.actor.sample(self.actor_input(state, base), noise)[0]
 
     def critic_loss(self, batch: Batch, noise: torch.Tensor) -> torch.Tensor:
         """Sum over critics of the mean squared error to r + discount (min Q_target(s', a') - alpha log pi(a'))."""
@@ -148,9 +151,12 @@ class Sac:
         self.critics.requires_grad_(False)
         self.actor_optimiser.zero_grad(set_to_none=True)
         loss, log_prob = self.actor_loss(batch, self.noise(len(batch.reward)))
+        size = loss.detach().abs().clamp_min(1.0)
         if shown and imitation:
-            size = loss.detach().abs().clamp_min(1.0)
             loss = loss + imitation * size * self.imitation_loss(batch.state[:shown], batch.action[:shown])
+        if self.settings.caution:
+            residual = self.actor.best(self.actor_input(batch.state, batch.base))
+            loss = loss + self.settings.caution * size * residual.square().sum(1).mean()
         loss.backward()
         self.actor_optimiser.step()
         self.critics.requires_grad_(True)

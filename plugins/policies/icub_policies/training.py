@@ -49,6 +49,8 @@ class TrainingSettings:
         critic_updates: Updates after which the actor begins to learn (residuals: critics first know the object).
         warm_up_steps: Control steps collected before the first update.
         demonstration_share: Share of every batch drawn from the demonstrations.
+        noise_memory: Share of the exploration noise that a step hands on to the next; noise that lasts moves the hand
+            somewhere instead of shaking it (Eberhard et al., "Pink noise is all you need", ICLR 2023).
         evaluate_every: Control steps between two evaluations.
         evaluation_episodes: Episodes of an evaluation.
         checkpoint_every: Seconds between two checkpoints.
@@ -64,6 +66,7 @@ class TrainingSettings:
     critic_updates: int = 0
     warm_up_steps: int = 0
     demonstration_share: float = 0.5
+    noise_memory: float = 0.95
     evaluate_every: int = 40_000
     evaluation_episodes: int = 32
     checkpoint_every: float = 60.0
@@ -121,6 +124,7 @@ class Trainer:
         self._generator = torch.Generator().manual_seed(sac.generator.initial_seed() + 1)
         self._evaluation_starts: list[list[StartState]] = []
         self._resumed = False
+        self._noise = sac.noise(len(env.batch))
         self._shown = 0 if demonstrations is None else round(settings.demonstration_share * sac.settings.batch)
 
     def run(self) -> LearnReport:
@@ -193,7 +197,9 @@ class Trainer:
         sac, env, count = self._sac, self._env, self._count
         state = features(observation)
         base = self._base(state) if self._base is not None else state[:, :0]
-        learned = sac.explore(state, base)
+        keep = self._settings.noise_memory
+        self._noise = keep * self._noise + (1 - keep * keep) ** 0.5 * sac.noise(len(state))
+        learned = sac.explore(state, base, self._noise)
         observation["action"] = sac.total(learned, base)
         after = env.advance(observation)
         self._replay.add(state, learned, after["reward"][:, 0], end_codes(after), base)
@@ -203,6 +209,7 @@ class Trainer:
                 count.recent.append(bool(after["success"][world]))
                 count.episodes += 1
                 env.begin(world, env.pools[world].draw())
+                self._noise[world] = sac.noise(1)[0]
             after = env.observe()
         count.env_steps += len(state)
         count.updates_owed += self._settings.updates_per_step * len(state)
@@ -272,14 +279,16 @@ class Trainer:
         self._env.batch.firewall.ends = ends
         score, mean_return = results.success_rate, float(results.returns.mean())
         log.info(
-            "%d env steps, %d updates, %.0f s: evaluated %.3f (return %.1f, %.0f steps, %s), exploring %.3f, alpha %.4f",
+            "%d env steps, %d updates, %.0f s: evaluated %.3f (return %.1f, %.0f steps, %s), exploring %.3f, "
+            "alpha %.4f",
             count.env_steps, self._sac.updates, count.seconds, score, mean_return, results.steps.mean(),
             results.ends(),
             np.mean(count.recent) if count.recent else float("nan"), float(self._sac.log_alpha.detach().exp()),
         )  # fmt: skip
         if count.first_success < 0:
             count.first_success = score
-        if (score, mean_return) > (count.best_success, count.best_return):
+        frozen = self._sac.updates <= self._settings.critic_updates  # the same actor, better critics
+        if frozen or (score, mean_return) > (count.best_success, count.best_return):
             count.best_success, count.best_return = score, mean_return
             self._best = {name: value.clone() for name, value in self._sac.weights().items()}
             if self._exports is not None:
@@ -302,7 +311,7 @@ class Trainer:
         if self._demonstrations is not None:
             tensors.update({f"demonstrations.{k}": v for k, v in self._demonstrations.state_dict().items()})
         tensors.update({f"env.{k}": torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()})
-        tensors["generator"] = self._generator.get_state()
+        tensors["generator"], tensors["noise"] = self._generator.get_state(), self._noise
         count = self._count
         header = {
             "finished": finished,
@@ -329,6 +338,7 @@ class Trainer:
             self._demonstrations.load_state_dict(part.of("demonstrations."))
         self._env.restore({k: v.numpy() for k, v in part.of("env.").items()}, header["texts"])
         self._generator.set_state(tensors["generator"])
+        self._noise = tensors["noise"]
         kept = header["count"]
         recent = deque(kept.pop("recent"), maxlen=RECENT_EPISODES)
         self._count = _Count(**kept, recent=recent)

@@ -1,0 +1,111 @@
+"""Speed of the grasping environment over whole scripted episodes, one core, without rendering.
+
+    python benchmarks/environment.py
+
+`sim.env_steps_per_s`: control steps of 25 ms (five physics steps, inverse kinematics, governor, observation, reward,
+TensorDict, scripted policy) from the pre-grasp pose to the end of the episode. `sim.task_overhead`: what one step of
+the environment takes above the physics steps it contains, as a share of them; the policy is not part of it. Processor
+time of one thread; the starts are planned beforehand.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: one core is measured
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import track
+
+from icub_core import registry
+from icub_core.evaluation.results import Figure, write_results
+from icub_core.grasping.env import GraspEnv
+from icub_core.grasping.task import GraspTask
+from icub_core.scene import Scene
+
+RESULTS = Path(__file__).resolve().parent / "results" / "simulation.json"
+OBJECTS = ["004_sugar_box", "006_mustard_bottle", "010_potted_meat_can"]
+
+
+class Clock:
+    """Adds up the processor time of one method of an object."""
+
+    def __init__(self, owner: object, method: str) -> None:
+        self.seconds = 0.0
+        self._call = getattr(owner, method)
+        setattr(owner, method, self)
+
+    def __call__(self, *arguments: object) -> object:
+        """Call the method."""
+        begun = time.thread_time()
+        answer = self._call(*arguments)
+        self.seconds += time.thread_time() - begun
+        return answer
+
+
+def measure(name: str, worlds: int, seed: int) -> tuple[float, float, int]:
+    """Return steps per second of whole episodes, the overhead share, and the control steps measured."""
+    robot, generator = registry.build("robot", "icub"), registry.build("grasp_generator", "superquadrics")
+    spec = registry.build("objects", "ycb_primitives").get(name)
+    tasks = []
+    for world in range(worlds):
+        simulator = registry.build("simulator", "mujoco")
+        simulator.load(robot.description, Scene(objects=(spec,)))
+        tasks.append(GraspTask(simulator, robot, generator, [name], seed=seed + world))
+    env, teacher = GraspEnv(tasks), registry.build("policy", "demonstrations")
+    starts = [task.prepare() for task in track(tasks, description=f"plans for {name}")]
+    for world, start in enumerate(starts):
+        env.begin(world, start)
+    observation = env.observe()
+    clocks = [Clock(task.simulator, "step") for task in tasks]
+    in_env, steps = 0.0, 0
+    active = [True] * worlds
+    begun = time.thread_time()
+    while any(active):
+        observation["action"] = teacher.act(observation)
+        before = time.thread_time()
+        observation = env.advance(observation, active)
+        in_env += time.thread_time() - before
+        steps += sum(active)
+        for world in torch.nonzero(observation["done"][:, 0])[:, 0].tolist():
+            active[world] = False
+    total = time.thread_time() - begun
+    physics = sum(clock.seconds for clock in clocks)
+    env.close()
+    return steps / total, (in_env - physics) / physics, steps
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--objects", nargs="+", default=OBJECTS)
+    parser.add_argument("--worlds", type=int, default=16)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    rows = [
+        measure(name, options.worlds, options.seed + repeat)
+        for repeat in range(options.repeats)
+        for name in options.objects
+    ]
+    speeds, overheads, steps = (np.array(column) for column in zip(*rows, strict=True))
+    figures = {
+        "sim.env_steps_per_s": Figure(float(speeds.mean()), "1/s", float(speeds.std()), int(steps.sum())),
+        "sim.task_overhead": Figure(float(overheads.mean()), "1", float(overheads.std()), int(steps.sum())),
+    }
+    write_results(options.results, command="python benchmarks/environment.py", seed=options.seed, figures=figures)
+    for key, figure in figures.items():
+        Console().print(f"{key}: {figure.value:.4g} +- {figure.spread:.2g}")
+
+
+if __name__ == "__main__":
+    main()
