@@ -10,6 +10,7 @@ from icub_core.geometry import make_transform
 from icub_core.interfaces.simulator import Fault
 from icub_core.scene import Scene
 from icub_core.testing.checks import checks
+from icub_robots.icub import ICub
 
 
 @pytest.mark.parametrize("name", list(checks("simulator")))
@@ -264,3 +265,25 @@ def test_all_ycb_objects_rest_where_they_were_put(engine, ycb, yaw, standing):
         assert np.linalg.norm(now[:3, 3] - pose[:3, 3]) < 3e-3, name
         assert np.trace(now[:3, :3].T @ pose[:3, :3]) > 1 + 2 * np.cos(0.02), name
     assert engine.faults() == ()
+
+
+@pytest.mark.parametrize("options", [{"hands": ("right", "left")}, {"coupling": "equal_split"}, {"weld": False}])
+def test_every_variant_of_the_robot_closes_its_hands(engine, options):
+    robot = ICub(**options)
+    d = robot.description
+    engine.load(d, Scene())
+    targets = engine.actuator_positions()
+    for names in d.hand_actuators.values():
+        hand = d.actuator_indices(names)
+        targets[hand] = [0.3 * sum(d.actuators[i].range) for i in hand]
+    engine.set_targets(targets)
+    engine.step(300)
+    assert engine.faults() == ()
+    np.testing.assert_allclose(engine.actuator_positions(), targets, atol=0.15)
+    q = engine.joint_positions()
+    for hand, frame in d.hand_frames.items():
+        if hand in d.hand_actuators:
+            np.testing.assert_allclose(engine.link_pose(frame), robot.forward_kinematics(q, frame), atol=1e-6)
+    position = {name: q[i] for i, name in enumerate(d.joint_names)}
+    for coupled in d.coupled_joints:
+        assert position[coupled.joint] == pytest.approx(coupled.multiplier * position[coupled.leader], abs=0.03)

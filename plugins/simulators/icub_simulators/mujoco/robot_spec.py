@@ -50,7 +50,7 @@ def robot_spec(robot: RobotDescription, visual: bool) -> mujoco.MjSpec:
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
             name1=coupled.joint,
             name2=coupled.leader,
-            data=[0.0, coupled.multiplier, *[0.0] * 9],
+            data=[0.0, coupled.multiplier] + [0.0] * (mujoco.mjNEQDATA - 2),  # a polynomial: offset, slope, ...
         )
     return spec
 
