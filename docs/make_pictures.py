@@ -371,7 +371,7 @@ def main_job(run_folder: Path | None = None) -> None:
         taught, seen = iio.imread(folder / "taught.png"), iio.imread(folder / "seen.png")
         film = iio.imread(folder / "grasp.gif")
     save_png("taught", contact_sheet(split(taught, 240, 320)[:4], 4))
-    save_png("found", contact_sheet(split(seen, 240, 320)[:6], 3))
+    save_png("found", contact_sheet(split(seen, 240, 320)[:4], 2))
     shown = [("1  taught by showing, masks from depth", tile) for tile in split(taught, 240, 320)]
     shown += [("2  found on tables it never saw, among strangers", tile) for tile in split(seen, 240, 320)]
     stills = [titled(tile, title) for title, tile in shown]
