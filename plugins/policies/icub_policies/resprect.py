@@ -25,6 +25,10 @@ CRITIC_UPDATES = 1_500
 """Updates of the critics on the object at hand before the residual begins to move."""
 
 
+CAUTION = 0.3
+"""Weight of the squared residual: where critics see little to gain the base policy stays as it is."""
+
+
 class Resprect(Policy):
     """Residual SAC with pre-trained critics.
 
@@ -33,9 +37,11 @@ class Resprect(Policy):
     memory keeps the residual. The residual's mean starts at exactly 0, so before learning this policy *is* the base
     policy (the released code offers that as an option and starts at random).
 
-    DIFF to the thesis: the first `warm_up_steps` are collected and then trained on by the critics alone, so that they
-    describe the object at hand before they move the actor; the residual returned is the best one in the training-time
-    evaluations, the zero residual included, so that learning never makes the base policy worse there.
+    DIFF to the thesis, for a budget of minutes, not days: the first `warm_up_steps` are collected and then trained
+    on by the critics alone, so that they describe the object at hand before they move the actor; the actor pays for
+    the size of its residual; exploration noise lasts over several steps and never falls below a least; four critics
+    instead of two; the residual returned is the best one in the training-time evaluations, the zero residual included,
+    so that learning never makes the base policy worse there.
 
     Args:
         base: Shipped weights by name or a file written by `Gpayn.save`.
@@ -64,7 +70,7 @@ class Resprect(Policy):
         self.base = Actor(PROPRIOCEPTIVE_SIZE, ACTION_SIZE, hidden).requires_grad_(False)
         load_into(self.base, tensors, "actor.", path)
         scale = SacSettings().reward_scale
-        settings = SacSettings(hidden=hidden, alpha=ENTROPY_COEFFICIENT * scale, learning_rate=1e-4)
+        settings = SacSettings(hidden=hidden, alpha=ENTROPY_COEFFICIENT * scale, learning_rate=1e-4, caution=CAUTION)
         self.sac = Sac(PROPRIOCEPTIVE_SIZE, ACTION_SIZE, settings, residual=True, seed=seed)
         self.sac.load_critics(tensors, path)
         self.settings = TrainingSettings(
