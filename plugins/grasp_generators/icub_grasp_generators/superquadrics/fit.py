@@ -21,30 +21,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.geometry import FloatArray
-from icub_grasp_generators.superquadrics.residuals import (
-    PARAMETERS,
-    Solids,
-    gauge_jacobian,
-    outline_area,
-    support_jacobian,
-    viewers,
-)
+from icub_grasp_generators.superquadrics.residuals import PARAMETERS, Solids, evaluate, outline_area, viewers
 from icub_grasp_generators.superquadrics.shape import EXPONENT_RANGE, Superquadric
-from icub_grasp_generators.superquadrics.start import MIN_POINTS, scale_of, starts, usable_sample
+from icub_grasp_generators.superquadrics.start import scale_of, starts, usable_sample
 
 _COARSE_POINTS = 130
-_COARSE_SIGMAS = (0.05, 0.05, 0.03, 0.03, 0.02, 0.02, 0.02)  # of the object's size, one per step
-_FINE_STEPS = 14
+_FIRST_SIGMAS = (0.05, 0.05, 0.03)  # of the object's size, one per step, from every start
+_KEPT = 3  # starts that go on after these steps
+_COARSE_SIGMAS = (0.03, 0.02, 0.02, 0.02)
+_FINE_STEPS = 10
 _SIGMA_FLOOR = 0.015  # of the object's size: no real object is a superquadric to better than that
 _OUTLIER_AT = 3.0  # distance, in sigmas, at which inlier and outlier are equally likely
 _OUTLINE_WEIGHT = 0.5  # 1 is the likelihood itself, which ends a free edge sqrt(2) sigma inside its last points
-_LAST_STEPS = 4
+_LAST_STEPS = 2
 _LAST_OUTLINE_WEIGHT = 0.2
-_END = 0.015  # share of the points beyond the place where a face is moved in to
-_RETRACT_SIGMA = 0.015
 _AVERTED = 0.2  # of a normal against the mean of the visible normals
 _TABLE_WEIGHT = 0.3  # of the number of points
-_CONVERGED = 3e-4  # step, in units of the object's size and radians
+_CONVERGED = 2e-3  # step, in units of the object's size and radians
 _DAMPED = 0.1  # curvature, per point, that damping adds to every direction
 _LOW = np.array([-np.inf] * 3 + [np.log(0.02)] * 3 + [EXPONENT_RANGE[0]] * 2)
 _HIGH = np.array([np.inf] * 3 + [np.log(2.0)] * 3 + [EXPONENT_RANGE[1]] * 2)
@@ -83,17 +76,17 @@ class _Problem:
 
     def terms(self, solids: Solids) -> _Terms:
         """Evaluate distances and Jacobians."""
-        norm, J, slope = gauge_jacobian(solids, self.rows)
-        norm -= 1.0
-        norm /= slope
-        J /= slope[:, None]
-        if self._table is None:
-            return _Terms(norm, J, None, None)
+        values = evaluate(solids, self.rows, None if self._table is None else _DOWN)
+        r, J = values.gauge, values.J_gauge
+        r -= 1.0
+        r /= values.slope
+        J /= values.slope[:, None]
+        if self._table is None or values.reach is None or values.J_reach is None:
+            return _Terms(r, J, None, None)
         root = np.sqrt(_TABLE_WEIGHT * self.count)
-        reach, J_table = support_jacobian(solids, _DOWN)
-        J_table *= -root
+        J_table = -root * values.J_reach
         J_table[:, 2] += root
-        return _Terms(norm, J, root * (solids.center[:, 2] - reach - self._table), J_table)
+        return _Terms(r, J, root * (solids.center[:, 2] - values.reach - self._table), J_table)
 
 
 @dataclass
@@ -108,8 +101,10 @@ class _Terms:
     def replace(self, other: _Terms, index: NDArray[np.bool_]) -> None:
         """Take over the rows `index` (S,) of `other`."""
         self.r[index], self.J[index] = other.r[index], other.J[index]
-        if self.r_table is not None and self.J_table is not None:
-            self.r_table[index], self.J_table[index] = other.r_table[index], other.J_table[index]  # type: ignore[index]
+        if self.r_table is not None and other.r_table is not None:
+            self.r_table[index] = other.r_table[index]
+        if self.J_table is not None and other.J_table is not None:
+            self.J_table[index] = other.J_table[index]
 
     def view(self, w: FloatArray) -> FloatArray:
         """Return the weighted mean of the surface normals at the points (S, 3), of length 0..1.
@@ -145,6 +140,7 @@ def _descend(
         problem: The cloud.
         solids: Where to start; overwritten.
         sigmas: Noise of each step, or, with `estimate`, the least noise that may be estimated.
+        outline: Weight of the outline's area, 0..1.
         estimate: Estimate the noise from the weighted distances, and stop when the steps become small.
 
     Returns:
@@ -185,53 +181,6 @@ def _descend(
     return solids, cost, w, sigma
 
 
-def _retract(problem: _Problem, solids: Solids, sigma: FloatArray) -> Solids:
-    """Move the faces of one solid in to where its points end, where that makes the cloud more likely.
-
-    A hidden face that has caught a few outliers is a local optimum that no small step leaves.
-    """
-    terms = problem.terms(solids)
-    w, _ = terms.mixture(sigma, np.zeros((1, 3)))
-    view = terms.view(w)
-    w, _ = terms.mixture(sigma, view)
-    viewer = viewers(solids, view)
-    local = solids.R[0].T @ (problem.rows[:, w[0] > 0.5] - solids.center[0][:, None])
-    if local.shape[1] < MIN_POINTS:
-        return solids
-    half = solids.half[0]
-    ends = np.quantile(local, [_END, 1.0 - _END], axis=1)  # (2, 3)
-    shifts = np.clip(np.stack([half + ends[0], half - ends[1]]), 0.0, 1.8 * half).ravel()  # of the six faces, inwards
-
-    def shrunk(chosen: FloatArray) -> Solids:
-        """Apply the shifts (6,) selected by the rows of `chosen` (V, 6)."""
-        low, high = chosen[:, :3] * shifts[:3], chosen[:, 3:] * shifts[3:]
-        vector = np.repeat(solids.vector, len(chosen), axis=0)
-        vector[:, :3] += (low - high) / 2 @ solids.R[0].T
-        vector[:, 3:6] = np.maximum(np.log(np.maximum(half - (low + high) / 2, 1e-3)), _LOW[3])
-        return Solids(np.repeat(solids.R, len(chosen), axis=0), vector)
-
-    def objective(variants: Solids) -> FloatArray:
-        views = np.repeat(view, len(variants.R), axis=0)
-        _, cost = problem.terms(variants).mixture(np.repeat(sigma, len(variants.R)), views)
-        return (
-            cost
-            + _OUTLINE_WEIGHT
-            * problem.count
-            * sigma[0] ** 2
-            * outline_area(variants, np.repeat(viewer, len(variants.R), axis=0))[0]
-        )
-
-    single = np.concatenate([np.zeros((1, 6)), np.eye(6)])
-    costs = objective(shrunk(single))
-    improving = (costs[1:] < costs[0]).astype(float)
-    if not improving.any():
-        return solids
-    choices = np.stack([improving, single[1 + int(np.argmin(costs[1:]))]])
-    return_of = shrunk(choices)
-    best = int(np.argmin(objective(return_of)))
-    return Solids(return_of.R[best : best + 1], return_of.vector[best : best + 1])
-
-
 def _step(solids: Solids, terms: _Terms, weighted: FloatArray, g_area: FloatArray, damping: FloatArray) -> FloatArray:
     """One damped Gauss-Newton step (S, 11) that does not push parameters through their bounds."""
     H = weighted @ terms.J.transpose(0, 2, 1)
@@ -250,7 +199,7 @@ def _step(solids: Solids, terms: _Terms, weighted: FloatArray, g_area: FloatArra
     diagonal = H.reshape(len(H), -1)[:, :: PARAMETERS + 1]
     # damping has an absolute part too: hidden sides have no curvature of their own, only the outline's pull
     diagonal += damping[:, None] * (diagonal + _DAMPED * terms.r.shape[1]) + stuck
-    return -np.linalg.solve(H, g[..., None])[..., 0]
+    return np.asarray(-np.linalg.solve(H, g[..., None])[..., 0], dtype=np.float64)
 
 
 def fit_superquadric(points: NDArray[np.floating], table_top: float | None = None) -> SuperquadricFit:
@@ -273,16 +222,14 @@ def fit_superquadric(points: NDArray[np.floating], table_top: float | None = Non
     sample /= size
     table = None if table_top is None else (table_top - origin[2]) / size
     few = sample[:: max(1, len(sample) // _COARSE_POINTS)]
-    solids, cost, _, _ = _descend(
-        _Problem(few, table), starts(few, table), _COARSE_SIGMAS, _OUTLINE_WEIGHT, estimate=False
-    )
-    best = int(np.argmin(cost))
+    coarse = _Problem(few, table)
+    solids, cost, _, _ = _descend(coarse, starts(few, table), _FIRST_SIGMAS, _OUTLINE_WEIGHT, estimate=False)
+    solids = solids.take(np.argsort(cost, kind="stable")[:_KEPT])
+    solids, cost, _, _ = _descend(coarse, solids, _COARSE_SIGMAS, _OUTLINE_WEIGHT, estimate=False)
     problem = _Problem(sample, table)
     solids, _, w, sigma = _descend(
         problem,
-        _retract(
-            problem, Solids(solids.R[best : best + 1], solids.vector[best : best + 1]), np.array([_RETRACT_SIGMA])
-        ),
+        solids.take(np.argmin(cost, keepdims=True)),
         (_COARSE_SIGMAS[-1],) + (_SIGMA_FLOOR,) * _FINE_STEPS,
         _OUTLINE_WEIGHT,
         estimate=True,

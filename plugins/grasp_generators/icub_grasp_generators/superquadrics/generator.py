@@ -40,8 +40,9 @@ _FLIP = np.diag([1.0, 1.0, -1.0, 1.0])  # a left hand's palm looks along -z of i
 class Superquadrics(GraspGenerator):
     """Grasps around a superquadric that is fitted to the cloud.
 
-    Every candidate pose of the family in `poses` is tested against table and solid and costed; the cheapest are tried by
-    inverse kinematics at the grasp and 5 and 10 cm before it, and ranked by cost plus distance from the home posture.
+    Every candidate pose of the family in `poses` is tested against table, solid and cloud, and costed; the cheapest are
+    tried by inverse kinematics at the grasp, 5 and 10 cm before it and 10 cm above it, and ranked by cost plus distance
+    from the home posture.
 
     Args:
         max_grasps: At most this many are returned.
@@ -60,6 +61,8 @@ class Superquadrics(GraspGenerator):
     def propose(self, cloud: PointCloud, robot: Robot, table: Table | None, hand: str = "right") -> GraspProposals:
         """Fit, enumerate, test; see the interface. Raises ConfigError when the robot has no such hand."""
         geometry = self._geometry(robot, hand)
+        if cloud.frame != "world":
+            return GraspProposals((), reason=f"the cloud is given in the frame '{cloud.frame}'; expected 'world'")
         try:
             fit = fit_superquadric(cloud.points, None if table is None else table.top)
         except DataError as error:
@@ -141,7 +144,12 @@ class Superquadrics(GraspGenerator):
         return True
 
     def _kept(
-        self, grasps: list[Grasp], offset: tuple[float, float], robot: Robot, geometry: HandGeometry, table: Table | None
+        self,
+        grasps: list[Grasp],
+        offset: tuple[float, float],
+        robot: Robot,
+        geometry: HandGeometry,
+        table: Table | None,
     ) -> list[Grasp]:
         """Keep the grasps whose hand can be at an offset of the way; the grasp's own posture is added to its cost."""
         free = [clears_table(geometry.hand.at(_on_way(g, offset)), geometry.hand.radii, table) for g in grasps]

@@ -1,13 +1,14 @@
 """Hand poses around a superquadric, and what each of them costs.
 
-The iCub's hand squeezes along its x axis, thumb against fingers; its palm looks along z; y runs from the index finger to
-the little one. Poses are therefore drawn from one family: x horizontal at angle a, and a roll phi about x that takes the
-palm from looking down (0) to looking sideways (90 degrees),
+The iCub's hand squeezes along its x axis, thumb against fingers; its palm looks along z; y runs from the index finger
+to the little one. Poses are therefore drawn from one family: x horizontal at angle a, and a roll phi about x that takes
+the palm from looking down (0) to looking sideways (90 degrees),
 
     R(a, phi, theta) = [(cos a, sin a, 0), (sin a, -cos a, 0), (0, 0, -1)] Rx(phi) Ry(theta)   (columns of the first),
 
-where theta dips the fingers, which reaches objects that are turned away from the arm, with the palm a small gap in front of the solid, the solid's centre on the line between thumb and fingers, and a shift
-along y. The hand is the right one; the left one is its mirror image (see `generator`).
+where theta dips the fingers, which reaches objects that are turned away from the arm. The palm is a small gap in front
+of the solid, the solid's centre on the line between thumb and fingers, and the hand may be shifted along y. The hand is
+the right one; the left one is its mirror image (see `generator`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from icub_core.geometry import FloatArray, rotation_about
 from icub_core.scene import Table
@@ -51,16 +53,10 @@ class Candidates:
     Attributes:
         T: (C, 4, 4) world poses of the right hand frame.
         cost: (C,) sum of the terms; lower is better.
-        width: (C,) metres between thumb and fingers.
     """
 
     T: FloatArray
     cost: FloatArray
-    width: FloatArray
-
-    def take(self, index: FloatArray) -> Candidates:
-        """Return the candidates of an index or flag array."""
-        return Candidates(self.T[index], self.cost[index], self.width[index])
 
 
 def family(shape: Superquadric) -> FloatArray:
@@ -89,7 +85,7 @@ def family(shape: Superquadric) -> FloatArray:
     return T.reshape(-1, 4, 4)
 
 
-def clears_table(points: FloatArray, radii: FloatArray, table: Table | None) -> FloatArray:
+def clears_table(points: FloatArray, radii: FloatArray, table: Table | None) -> NDArray[np.bool_]:
     """Say for sphere centres (..., K, 3) of `radii` (K,) whether all stay out of the table: (...) bool."""
     if table is None:
         return np.ones(points.shape[:-2], dtype=bool)
@@ -123,11 +119,11 @@ def evaluate(shape: Superquadric, T: FloatArray, hand: Spheres, table: Table | N
         _ray_cost(shape, T) + _ellipsoid_cost(shape, T) + _lever_cost(shape, T) + 20.0 * np.maximum(width - 0.055, 0.0)
     )
     order = np.argsort(cost, kind="stable")
-    return Candidates(T[order], cost[order], width[order]), ""
+    return Candidates(T[order], cost[order]), ""
 
 
 def _nothing() -> Candidates:
-    return Candidates(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0))
+    return Candidates(np.zeros((0, 4, 4)), np.zeros(0))
 
 
 def _ray_cost(shape: Superquadric, T: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from icub_core.geometry import FloatArray
 from icub_grasp_generators.superquadrics.shape import nested_norm_rows
@@ -43,6 +44,10 @@ class Solids:
         """(S, 2)."""
         return self.vector[:, 6:]
 
+    def take(self, index: NDArray[np.intp]) -> Solids:
+        """Return copies of the solids with these numbers."""
+        return Solids(self.R[index], self.vector[index])
+
     def moved(self, step: FloatArray, low: FloatArray, high: FloatArray) -> Solids:
         """Return the solids after steps (S, 11), with `vector` clipped to `low` and `high` (8,)."""
         change = np.concatenate([step[:, :3], step[:, 6:]], axis=1)
@@ -50,18 +55,21 @@ class Solids:
 
 
 def rotations(w: FloatArray) -> FloatArray:
-    """Rotation vectors (S, 3) to matrices (S, 3, 3), by the Cayley transform of equal first order.
+    """Rotation vectors (S, 3) to matrices (S, 3, 3), by the Cayley transform.
 
-    exp([w]) up to third order; each result is a rotation for every w, so that steps never leave the group.
+    It agrees with exp([w]) to second order and gives a rotation for every w, so that steps never leave the group.
     """
-    x, y, z = 0.5 * w[:, 0], 0.5 * w[:, 1], 0.5 * w[:, 2]
-    n = x * x + y * y + z * z
-    R = np.empty((len(w), 3, 3))
-    R[:, 0, 0], R[:, 0, 1], R[:, 0, 2] = 1 + 2 * x * x - n, 2 * (x * y - z), 2 * (x * z + y)
-    R[:, 1, 0], R[:, 1, 1], R[:, 1, 2] = 2 * (x * y + z), 1 + 2 * y * y - n, 2 * (y * z - x)
-    R[:, 2, 0], R[:, 2, 1], R[:, 2, 2] = 2 * (x * z - y), 2 * (y * z + x), 1 + 2 * z * z - n
-    R /= (1 + n)[:, None, None]
-    return R
+    return np.array([_cayley(*(0.5 * w_s).tolist()) for w_s in w])
+
+
+def _cayley(x: float, y: float, z: float) -> list[list[float]]:
+    xx, yy, zz = x * x, y * y, z * z
+    f = 2.0 / (1.0 + xx + yy + zz)
+    return [
+        [1.0 - f * (yy + zz), f * (x * y - z), f * (x * z + y)],
+        [f * (x * y + z), 1.0 - f * (xx + zz), f * (y * z - x)],
+        [f * (x * z - y), f * (y * z + x), 1.0 - f * (xx + yy)],
+    ]
 
 
 def _cross_rows(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
@@ -71,48 +79,70 @@ def _cross_rows(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
     out[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-def gauge_jacobian(solids: Solids, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Evaluate the norm G at points (3, N).
+@dataclass
+class SolidValues:
+    """What `evaluate` returns; J are Jacobians by the eleven parameters.
 
-    Returns:
-        G (S, N), its Jacobian (S, 11, N), and |grad G| (S, N).
+    Attributes:
+        gauge: G (S, N) at the points.
+        J_gauge: (S, 11, N).
+        slope: |grad G| (S, N).
+        reach: (S,) support function along the direction, or None.
+        J_reach: (S, 11), or None.
     """
-    R, half = solids.R, solids.half
+
+    gauge: FloatArray
+    J_gauge: FloatArray
+    slope: FloatArray
+    reach: FloatArray | None = None
+    J_reach: FloatArray | None = None
+
+
+def evaluate(solids: Solids, points: FloatArray, direction: FloatArray | None = None) -> SolidValues:
+    """Evaluate the norm G at points (3, N) and, when asked for, how far the solids reach along a direction.
+
+    Args:
+        solids: S of them.
+        points: (3, N).
+        direction: (3,) unit vector. The support function is the dual norm and is computed in the same sweep, as one
+            more column: the calls, not the arithmetic, are what one vector costs.
+    """
+    R, half, exponents = solids.R, solids.half, solids.exponents
     R_t = R.transpose(0, 2, 1)
-    local = R_t @ points - R_t @ solids.center[:, :, None]
-    v = local / half[:, :, None]
-    s = 2.0 / solids.exponents
-    norm, by_v, by_s1, by_s2 = nested_norm_rows(v, s[:, :1], s[:, 1:])
-    J = np.empty((len(R), PARAMETERS, points.shape[1]))
+    count = points.shape[1]
+    column = half[:, :, None]
+    local = R_t @ points
+    local -= R_t @ solids.center[:, :, None]
+    s = 2.0 / exponents
+    if direction is None:
+        v, s1, s2 = local / column, s[:, :1], s[:, 1:]
+    else:
+        u = direction @ R
+        v = np.empty((len(R), 3, count + 1))
+        np.divide(local, column, out=v[:, :, :count])
+        v[:, :, count] = half * u
+        s1, s2 = np.empty((2, len(R), count + 1))
+        s1[:, :count], s2[:, :count] = s[:, :1], s[:, 1:]
+        q = 2.0 / (2.0 - exponents)
+        s1[:, count], s2[:, count] = q[:, 0], q[:, 1]
+    norm, by_v, by_s1, by_s2 = nested_norm_rows(v, s1, s2)
+
+    J = np.empty((len(R), PARAMETERS, norm.shape[1]))
     np.multiply(by_v, v, out=J[:, 6:9])
-    by_v /= half[:, :, None]
-    J[:, 0:3] = R @ by_v
-    _cross_rows(local, by_v, J[:, 3:6])
-    slope = np.sqrt(by_v[:, 0] ** 2 + by_v[:, 1] ** 2 + by_v[:, 2] ** 2)
-    s *= s
-    np.multiply(by_s1, 0.5 * s[:, :1], out=J[:, 9])
-    np.multiply(by_s2, 0.5 * s[:, 1:], out=J[:, 10])
-    np.negative(J, out=J)
-    return norm, J, slope
-
-
-def support_jacobian(solids: Solids, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Evaluate how far the solids reach from their centres along `direction` (3,), a unit vector.
-
-    Returns:
-        Reach (S,) and its Jacobian (S, 11).
-    """
-    half = solids.half
-    u = (direction @ solids.R)[:, :, None]
-    v = half[:, :, None] * u
-    q = 2.0 / (2.0 - solids.exponents)
-    reach, by_v, by_q1, by_q2 = nested_norm_rows(v, q[:, :1], q[:, 1:])
-    J = np.zeros((len(half), PARAMETERS, 1))
-    _cross_rows(half[:, :, None] * by_v, u, J[:, 3:6])
-    J[:, 6:9] = by_v * v
-    J[:, 9] = by_q1 * 0.5 * q[:, :1] ** 2
-    J[:, 10] = by_q2 * 0.5 * q[:, 1:] ** 2
-    return reach[:, 0], J[..., 0]
+    by_local = by_v[:, :, :count] / column
+    np.matmul(R, by_local, out=J[:, 0:3, :count])
+    _cross_rows(local, by_local, J[:, 3:6, :count])
+    slope = np.sqrt(np.einsum("skn,skn->sn", by_local, by_local))
+    np.multiply(by_s1, 0.5 * s1**2, out=J[:, 9])
+    np.multiply(by_s2, 0.5 * s2**2, out=J[:, 10])
+    if direction is None:
+        return SolidValues(norm, np.negative(J, out=J), slope)
+    # the dual's powers grow with the exponents and its argument with the axes, hence the opposite signs
+    J_reach = J[:, :, count].copy()
+    J_reach[:, 0:3] = 0.0
+    _cross_rows(half * by_v[:, :, count], u, J_reach[:, 3:6])
+    J = J[:, :, :count]
+    return SolidValues(norm[:, :count], np.negative(J, out=J), slope, norm[:, count], J_reach)
 
 
 def viewers(solids: Solids, normals: FloatArray) -> FloatArray:
