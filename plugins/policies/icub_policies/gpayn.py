@@ -42,8 +42,14 @@ def weights_path(weights: str) -> Path:
 class Gpayn(Policy):
     """SAC whose memory holds demonstrations from the start.
 
-    DIFF to the thesis: the demonstrations are kept for ever at a fixed share of every batch instead of leaving a
-    first-in-first-out memory; see `sac` for what else short budgets need.
+    Four stages: scripted demonstrations fill the memory; the actor imitates them; it acts unchanged, with noise, until
+    the critics know what its actions are worth; then soft actor-critic improves it.
+
+    DIFF to the thesis, which runs five million steps: the imitation and the frozen stage are added (SAC from a random
+    actor learns nothing within minutes, and one that moves before its critics are right forgets how to grasp); the
+    demonstrations are kept for ever at half of every batch instead of leaving a first-in-first-out memory; imitation
+    stays in the actor's loss with a weight that falls to 0 at half of the budget; what is returned is the best of the
+    training-time evaluations. See `sac` and `training` for the rest.
 
     Args:
         weights: Shipped weights by name (``"base_gpayn"``) or a file to start from; None starts at random.

@@ -1,0 +1,43 @@
+"""What the policies achieve on real physics and camera-planned poses; minutes, so only in the slow run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from icub_core import registry
+from icub_core.grasping.env import GraspEnv
+from icub_core.grasping.evaluation import evaluate
+from icub_core.grasping.task import GraspTask
+from icub_core.scene import Scene
+from icub_policies.demonstrations import Demonstrations
+from icub_policies.gpayn import Gpayn
+from icub_policies.resprect import Resprect
+
+pytestmark = pytest.mark.slow
+
+
+def worlds(name: str, count: int = 8) -> GraspEnv:
+    robot, generator = registry.build("robot", "icub"), registry.build("grasp_generator", "superquadrics")
+    spec = registry.build("objects", "ycb_primitives").get(name)
+    tasks = []
+    for world in range(count):
+        simulator = registry.build("simulator", "mujoco")
+        simulator.load(robot.description, Scene(objects=(spec,)))
+        tasks.append(GraspTask(simulator, robot, generator, [name], seed=world))
+    return GraspEnv(tasks, pool_size=12, threads=2)
+
+
+@pytest.mark.parametrize("name", ["004_sugar_box", "006_mustard_bottle", "010_potted_meat_can"])
+def test_demonstrations_and_base_policy_grasp_what_they_should(name):
+    env = worlds(name)
+    assert evaluate(Demonstrations(), env, 16, seed=11).success_rate >= 0.8
+    assert evaluate(Gpayn(weights="base_gpayn"), env, 16, seed=11).success_rate >= 0.6
+
+
+@pytest.mark.timeout(1200)
+def test_resprect_improves_on_its_base_where_the_base_is_weak(tmp_path: Path):
+    env = worlds("003_cracker_box")
+    policy = Resprect(seconds=None, env_steps=20_000)
+    report = policy.learn(env, tmp_path, lambda share, text: None)
+    assert report.metrics["best_success"] > report.metrics["first_success"]
