@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+
 from icub_core import registry
 from icub_core.grasping.env import GraspEnv
 from icub_core.grasping.evaluation import evaluate
