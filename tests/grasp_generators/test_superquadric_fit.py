@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from icub_core.errors import DataError
-from icub_core.geometry import rotation_exp
+from icub_core.geometry import make_transform, rotation_exp
 from icub_grasp_generators.superquadrics.fit import fit_superquadric
 from icub_grasp_generators.superquadrics.shape import Superquadric
-from synthetic import TABLE_TOP, matched, single_view
+from icub_grasp_generators.synthetic_clouds import TABLE_TOP, matched, single_view
 
 SOLID = Superquadric.from_parts(
     np.array([0.03, 0.045, 0.08]), np.array([0.4, 0.7]), rotation_exp([0.2, 0.5, -0.3]), np.array([0.1, -0.2, 0.3])
@@ -39,7 +40,9 @@ def test_a_superquadric_seen_from_all_sides_is_found_again():
 def test_the_fit_turns_and_moves_with_the_cloud(turn, move):
     R, t = rotation_exp(turn), np.array(move)
     fit = fit_superquadric(all_around() @ R.T + t)
-    moved = Superquadric.from_parts(SOLID.half_axes, SOLID.exponents, R @ SOLID.T_world_object[:3, :3], R @ SOLID.center + t)
+    moved = Superquadric.from_parts(
+        SOLID.half_axes, SOLID.exponents, R @ SOLID.T_world_object[:3, :3], R @ SOLID.center + t
+    )
     assert worst_distance(fit.shape, moved) < 0.003
 
 
@@ -70,10 +73,11 @@ def test_visible_axes_of_a_single_view_are_found_within_five_percent(kind):
     rng = np.random.default_rng(0)
     errors, offsets = [], []
     for _ in range(20):
-        cloud, half, R, center, visible = single_view(kind, rng)
-        shape = fit_superquadric(cloud, TABLE_TOP).shape
-        errors.append(np.abs(matched(shape.half_axes, shape.T_world_object[:3, :3], R) / half - 1)[visible])
-        offsets.append(np.linalg.norm(shape.center - center))
+        view = single_view(kind, rng)
+        shape = fit_superquadric(view.points, TABLE_TOP).shape
+        found = matched(shape.half_axes, shape.T_world_object[:3, :3], view.R)
+        errors.append(np.abs(found / view.half - 1)[view.visible])
+        offsets.append(np.linalg.norm(shape.center - view.center))
     # cylinders have no axes across, so what a turn of theirs leaves of the order of axes counts against the fit
     assert np.mean(np.concatenate(errors) < 0.05) >= 0.85
     assert np.median(offsets) < 0.003
@@ -81,15 +85,15 @@ def test_visible_axes_of_a_single_view_are_found_within_five_percent(kind):
 
 def test_the_table_closes_what_the_camera_does_not_see():
     rng = np.random.default_rng(1)
-    cloud, half, _, center, _ = single_view("box", rng, outliers=0.0)
-    cloud = cloud[cloud[:, 2] > center[2] + 0.5 * half[2]]  # the upper quarter only
+    view = single_view("box", rng, outliers=0.0)
+    cloud = view.points[view.points[:, 2] > view.center[2] + 0.5 * view.half[2]]  # the upper quarter only
     shape = fit_superquadric(cloud, TABLE_TOP).shape
     reach, _ = shape.support(np.array([0.0, 0.0, -1.0]))
     assert shape.center[2] - reach == pytest.approx(TABLE_TOP, abs=0.002)
 
 
 def test_the_same_cloud_gives_the_same_fit_and_stays_unchanged():
-    cloud = single_view("cylinder", np.random.default_rng(2), count=2000)[0]
+    cloud = single_view("cylinder", np.random.default_rng(2), count=2000).points
     before = cloud.copy()
     one, two = fit_superquadric(cloud, TABLE_TOP), fit_superquadric(cloud, TABLE_TOP)
     np.testing.assert_array_equal(one.shape.T_world_object, two.shape.T_world_object)

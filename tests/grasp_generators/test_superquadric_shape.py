@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from icub_core.errors import DataError
 from icub_core.geometry import rotation_exp
 from icub_grasp_generators.superquadrics.residuals import Solids, evaluate, outline_area, rotations, viewers

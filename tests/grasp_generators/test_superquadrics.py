@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from icub_core.data import PointCloud
 from icub_core.errors import ConfigError
 from icub_core.geometry import is_rigid, rotation_about
 from icub_core.scene import Table
 from icub_grasp_generators.hand_geometry import read_hand_geometry
 from icub_grasp_generators.superquadrics.generator import Superquadrics
-from synthetic import surface
+from icub_grasp_generators.synthetic_clouds import surface
 
 TABLE = Table()
 CAN = ("cylinder", np.array([0.033, 0.033, 0.05]))

@@ -1,17 +1,40 @@
-"""Clouds of solids whose true size and pose are known, as one camera or all of them see them."""
+"""Clouds of solids whose true size and pose are known, as one camera sees them: for tests and benchmarks."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from icub_core.geometry import rotation_about
+from numpy.typing import NDArray
 
+from icub_core.geometry import FloatArray, rotation_about
+
+KINDS = ("box", "cylinder", "ellipsoid")
 TABLE_TOP = 0.95
 
 
-def surface(kind: str, half: np.ndarray, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) spread evenly over a box, a cylinder (axis z) or an ellipsoid, and their outward normals."""
+@dataclass(frozen=True, eq=False)
+class View:
+    """One solid on a table, seen once.
+
+    Attributes:
+        points: (N, 3) cloud, world, metres.
+        half: (3,) true half sizes.
+        R: (3, 3) true rotation.
+        center: (3,) true centre.
+        visible: (3,) bool: the clean points span nine tenths of this axis or more.
+    """
+
+    points: FloatArray
+    half: FloatArray
+    R: FloatArray
+    center: FloatArray
+    visible: NDArray[np.bool_]
+
+
+def surface(kind: str, half: FloatArray, rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
+    """Spread points (N, 3) over a box, a cylinder (axis z) or an ellipsoid; also return their outward normals."""
     if kind == "box":
         area = np.array([half[1] * half[2], half[0] * half[2], half[0] * half[1]])
         face, side = rng.choice(3, count, p=area / area.sum()), rng.choice([-1.0, 1.0], count)
@@ -39,12 +62,15 @@ def surface(kind: str, half: np.ndarray, rng: np.random.Generator, count: int) -
 
 def single_view(
     kind: str, rng: np.random.Generator, count: int = 500, outliers: float = 0.1, noise: float = 0.001
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """One solid of 4 to 18 cm on the table, turned at random, seen from 0.5 m away and 45 degrees above.
+) -> View:
+    """Draw a solid of 4 to 18 cm, turned about the vertical, seen from 0.5 m away and 45 degrees above.
 
-    Returns:
-        Points (count, 3), half sizes (3,), rotation (3, 3), centre (3,), and which of the three axes (3,) the visible,
-        clean points span to at least nine tenths.
+    Args:
+        kind: One of `KINDS`.
+        rng: Decides everything.
+        count: Points.
+        outliers: Share of the points that is spread over a box 5 cm larger than the cloud instead.
+        noise: Standard deviation of the other points, metres.
     """
     half = rng.uniform(0.02, 0.09, 3)
     if kind == "cylinder":
@@ -62,11 +88,11 @@ def single_view(
     wrong = int(outliers * count)
     cloud[:wrong] = rng.uniform(cloud.min(axis=0) - 0.05, cloud.max(axis=0) + 0.05, (wrong, 3))
     seen = local[chosen[wrong:]]
-    return cloud, half, R, center, np.ptp(seen, axis=0) > 0.9 * 2 * half
+    return View(cloud, half, R, center, np.ptp(seen, axis=0) > 0.9 * 2 * half)
 
 
-def matched(half: np.ndarray, R_fit: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Sort fitted half axes (3,) into the order of the true axes that they are nearest to."""
+def matched(half: FloatArray, R_fit: FloatArray, R: FloatArray) -> FloatArray:
+    """Sort fitted half axes (3,) with rotation `R_fit` into the order of the true axes `R` that they are nearest to."""
     cosines = np.abs(R.T @ R_fit)
     best = max(permutations(range(3)), key=lambda order: sum(cosines[i, order[i]] for i in range(3)))
     return half[list(best)]
