@@ -33,7 +33,7 @@ from icub_core.interfaces.robot import Robot
 from icub_core.interfaces.simulator import Simulator
 from icub_core.pipeline.pictures import captioned, colour_of, contact_sheet, draw_instances
 from icub_core.scene import CameraView, Light, Material, ObjectSpec, Scene, Table
-from icub_simulators.mujoco.gl import choose_backend
+from icub_core.gl import choose_backend
 
 Image = NDArray[np.uint8]
 FOLDER = Path(__file__).parent / "images"

@@ -135,6 +135,9 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
 
 
 def pinhole(width: int, height: int, fovy: float) -> FloatArray:
-    """Return the (3, 3) intrinsics of an ideal camera with vertical field of view `fovy` (rad)."""
+    """Return the (3, 3) intrinsics of an ideal camera with vertical field of view `fovy` (rad).
+
+    Whole pixel coordinates are pixel centres: the middle of 320 columns is 159.5.
+    """
     focal = 0.5 * height / np.tan(0.5 * fovy)
-    return np.array([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
+    return np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])

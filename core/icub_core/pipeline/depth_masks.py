@@ -15,6 +15,8 @@ Mask = NDArray[np.bool_]
 
 MINIMUM_PIXELS = 150
 """A smaller blob is noise, or an object too far away to be taught."""
+LARGEST_SHARE = 0.4
+"""A blob that covers more of the picture is the room, or an object held too close."""
 DEPTH_EXTENT = 0.22
 """How far behind its nearest point a hand-held object may reach, metres."""
 DEPTH_STEP = 0.025
@@ -42,6 +44,8 @@ def closest_blob(depth: NDArray[np.float32]) -> Mask | None:
     if not large:
         return None
     blob = labels == min(large, key=lambda label: float(np.percentile(depth[labels == label], 5)))
+    if np.count_nonzero(blob) > LARGEST_SHARE * blob.size:
+        return None
     return _with_rim(blob, depth, candidate)
 
 

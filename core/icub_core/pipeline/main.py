@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import shlex
 import sys
 import time
 from pathlib import Path
@@ -16,7 +17,7 @@ from icub_core.config.assembly import Assembly
 from icub_core.config.settings import build_scene, to_dataclass
 from icub_core.errors import ConfigError
 from icub_core.grasping.env import GraspEnv
-from icub_core.grasping.task import GraspTask, TaskSettings
+from icub_core.grasping.task import GraspTask
 from icub_core.hooks import Events
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.interfaces.segmenter import Segmenter
@@ -47,7 +48,7 @@ def run(cfg: DictConfig, run_dir: Path) -> dict[str, Any]:
     events = Events.discover([ConsoleView()])
     context = RunContext(run_dir, int(cfg.seed), events)
     config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
-    write_provenance(run_dir, context.seed, command=" ".join(["icub", *sys.argv[1:]]))
+    write_provenance(run_dir, context.seed, command=shlex.join(["icub", "run", *sys.argv[1:]]))
     events.emit("icub_run_start", config=config, run_dir=run_dir)
     error: BaseException | None = None
     started = time.perf_counter()
@@ -65,7 +66,9 @@ def run(cfg: DictConfig, run_dir: Path) -> dict[str, Any]:
 def _stages(context: RunContext, cfg: DictConfig, settings: MainSettings) -> None:
     plugins = Assembly(cfg)
     objects = plugins.get("objects")
-    for name in (*settings.teach.objects, settings.grasp.target):
+    taught = settings.teach.objects if plugins.chosen("segmenter") else []
+    grasped = [settings.grasp.target] if plugins.chosen("policy") else []
+    for name in (*taught, *grasped):
         objects.get(name)  # a misspelt name must not wait until its stage
     for kind in ("segmenter", "policy", "grasp_generator"):
         if plugins.chosen(kind):
@@ -143,7 +146,7 @@ def grasp_env(
         simulator = plugins.fresh("simulator")
         simulator.load(robot.description, scene)
         tasks.append(
-            GraspTask(simulator, robot, generator, [target], masks=masks, settings=TaskSettings(), seed=seed + world)
+            GraspTask(simulator, robot, generator, [target], masks=masks, settings=to_dataclass(cfg.task), seed=seed + world)
         )
     return GraspEnv(tasks, pool_size=settings.grasp.starts, threads=settings.grasp.threads, seed=seed)
 

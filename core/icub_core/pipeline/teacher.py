@@ -13,6 +13,8 @@ from icub_core.geometry import make_transform, rotation_exp
 from icub_core.interfaces.simulator import Simulator
 from icub_core.pipeline.depth_masks import CoherentMasks, closest_blob
 
+FRAMES_OF_A_ROUND = 60
+"""Frames in which the hand goes once around its path."""
 FRAME_RATE = 10.0
 """Frames a second that reach the robot."""
 
@@ -37,8 +39,11 @@ class Showing:
 
 
 def _smooth_path(rng: np.random.Generator, frames: int) -> NDArray[np.float64]:
-    """Return (frames, 3) values in -1..1 that drift like a hand: a sum of slow sines a coordinate."""
-    t = np.linspace(0, 2 * np.pi, frames)[:, None]
+    """Return (frames, 3) values in -1..1 that drift like a hand: a sum of slow sines a coordinate.
+
+    The speed does not depend on how many frames there are: a short showing is a piece of a long one.
+    """
+    t = np.arange(frames)[:, None] * (2 * np.pi / FRAMES_OF_A_ROUND)
     frequency = rng.uniform(0.5, 2.5, (2, 3))
     phase = rng.uniform(0, 2 * np.pi, (2, 3))
     return 0.5 * (np.sin(frequency[0] * t + phase[0]) + np.sin(frequency[1] * t + phase[1]))

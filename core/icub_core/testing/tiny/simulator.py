@@ -149,7 +149,6 @@ class TinySimulator(Simulator):
         """Cast a ray a pixel at the floor, the table and the objects; the robot is not drawn."""
         T_world_camera, fovy = self._camera(camera, look_at)
         K = pinhole(width, height, fovy)
-        K[:2, 2] = (width - 1) / 2, (height - 1) / 2  # whole numbers are pixel centres
         columns, rows = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
         rays = np.stack([(columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1], np.ones_like(rows)], axis=-1)
         depth = np.full((height, width), np.inf)

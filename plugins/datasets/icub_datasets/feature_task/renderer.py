@@ -6,7 +6,7 @@ simulated: objects are placed so that their lowest point touches the table, whic
 
 from __future__ import annotations
 
-import os
+import sys
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import SimulationError
+from icub_core.gl import prepare
 from icub_datasets.feature_task.objects import TaskObject, feature_task_objects, read_obj
 from icub_datasets.feature_task.textures import background_texture, product_texture
 
@@ -82,9 +83,11 @@ class FeatureTaskRenderer:
             SimulationError: When MuJoCo cannot render on this machine.
             DataError: When the meshes are not installed.
         """
-        os.environ.setdefault("MUJOCO_GL", "egl")
+        context_class = prepare()
         import mujoco
 
+        # MuJoCo chose a context class when it was first imported, perhaps before `prepare` found the right one
+        vars(sys.modules[mujoco.Renderer.__module__])["gl_context"].GLContext = context_class
         self._mujoco = mujoco
         counts = {k: v for k, v in {"meshes": meshes, "products": products}.items() if v is not None}
         self.objects: list[TaskObject] = feature_task_objects(class_seed, **counts)
@@ -95,9 +98,7 @@ class FeatureTaskRenderer:
         try:
             self._renderer = mujoco.Renderer(self._model, HEIGHT, WIDTH)
         except Exception as error:  # the binding raises several unrelated types when no GL is found
-            raise SimulationError(
-                f"MuJoCo cannot render here (MUJOCO_GL={os.environ['MUJOCO_GL']}): {error}"
-            ) from error
+            raise SimulationError(f"MuJoCo cannot render here: {error}") from error
         self._classes = np.zeros(self._model.ngeom + 1, dtype=np.int64)
         for label, item in enumerate(self.objects, start=1):
             body = self._model.body(item.name)

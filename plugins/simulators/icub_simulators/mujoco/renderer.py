@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from icub_core.data import RgbdFrame
 from icub_core.errors import SimulationError
 from icub_core.geometry import pinhole
+from icub_core.gl import make_context
 from icub_core.interfaces.simulator import Rendering
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import CameraView, Light, Material, Scene
 from icub_simulators.mujoco.builder import OBJECT_PREFIX, build_spec, compile_model
-from icub_simulators.mujoco.gl import make_context
 from icub_simulators.mujoco.looks import (
     BACKDROP,
     FLOOR,
@@ -92,7 +92,6 @@ class Renderer:
             codes, depth = self._draw(PLAIN, width, height, ids=True)  # smoothing would blend numbers and depths
             objects = self._objects(codes)
         intrinsics = pinhole(width, height, view.fovy)
-        intrinsics[:2, 2] -= 0.5  # pixel centres have whole coordinates: the middle of 320 pixels is 159.5
         frame = RgbdFrame(rgb, depth, intrinsics, np.array(view.T_world_camera, dtype=np.float64), stamp)
         return Rendering(frame, objects)
 

@@ -67,7 +67,6 @@ class Camera:
         depth[nothing] = 0.0
         rgb[nothing] = (255 * np.asarray(self.backdrop.rgba[:3])).astype(np.uint8)
         intrinsics = pinhole(width, height, view.fovy)
-        intrinsics[:2, 2] -= 0.5
         frame = RgbdFrame(rgb, depth, intrinsics, np.array(view.T_world_camera, dtype=np.float64), self._world.time)
         return Rendering(frame, self._objects(codes) if segmentation else None)
 

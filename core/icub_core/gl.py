@@ -41,6 +41,24 @@ def make_context() -> Any:
     Raises:
         SimulationError: One line that says what to install.
     """
+    context_class = prepare()
+    try:
+        context = context_class(64, 64)  # pictures are drawn into a buffer of their own
+        context.make_current()
+    except Exception as error:  # PyOpenGL raises anything from AttributeError to its own classes
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        backend = os.environ[VARIABLE]
+        raise SimulationError(f"cannot open an OpenGL context with {backend} ({reason}); try: {_INSTALL}") from error
+    logger.debug("rendering with %s", os.environ[VARIABLE])
+    return context
+
+
+def prepare() -> Any:
+    """Choose a backend, set the process up for it, and return MuJoCo's class of contexts for it.
+
+    Raises:
+        SimulationError: One line that says what to install.
+    """
     backend = choose_backend()
     _load_triton_first()
     # MuJoCo's own loader and PyOpenGL both read the environment when they are first used
@@ -50,14 +68,9 @@ def make_context() -> Any:
     # Mesa's software driver: handing a small picture to worker threads takes longer than drawing it
     os.environ.setdefault("LP_NUM_THREADS", "0")
     try:
-        module = importlib.import_module(f"mujoco.{backend}")
-        context = module.GLContext(64, 64)  # pictures are drawn into a buffer of their own
-        context.make_current()
-    except Exception as error:  # PyOpenGL raises anything from AttributeError to its own classes
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise SimulationError(f"cannot open an OpenGL context with {backend} ({reason}); try: {_INSTALL}") from error
-    logger.debug("rendering with %s", backend)
-    return context
+        return importlib.import_module(f"mujoco.{backend}").GLContext
+    except Exception as error:
+        raise SimulationError(f"MuJoCo cannot use {backend} here: {error}; try: {_INSTALL}") from error
 
 
 def _load_triton_first() -> None:
