@@ -29,4 +29,4 @@ class OnlineHead(ABC):
 
     @abstractmethod
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
-        """Take over what `state_dict` gave. Raises CheckpointError, and changes nothing, when names or shapes differ."""
+        """Take over what `state_dict` gave. CheckpointError, and no change, when names or shapes differ."""

@@ -141,13 +141,13 @@ def grasp_env(
     target = settings.grasp.target
     scene = build_scene(cfg.scene, [plugins.get("objects").get(target)])
     robot, generator = plugins.get("robot"), plugins.get("grasp_generator")
+    task = to_dataclass(cfg.task)
     tasks = []
     for world in range(settings.grasp.worlds):
         simulator = plugins.fresh("simulator")
         simulator.load(robot.description, scene)
-        tasks.append(
-            GraspTask(simulator, robot, generator, [target], masks=masks, settings=to_dataclass(cfg.task), seed=seed + world)
-        )
+        world_seed = seed + world
+        tasks.append(GraspTask(simulator, robot, generator, [target], masks=masks, settings=task, seed=world_seed))
     return GraspEnv(tasks, pool_size=settings.grasp.starts, threads=settings.grasp.threads, seed=seed)
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import torch
+
 from icub_core.errors import CheckpointError, ConfigError, NotFittedError, unknown_name
 from icub_core.interfaces.online_head import OnlineHead
-
 from icub_segmenters.heads.centers import balanced_centers, check_selection, uniform_centers
 from icub_segmenters.heads.checks import check_samples, check_training_set
 from icub_segmenters.heads.conjugate_gradients import is_cheaper_than_direct, solve_by_conjugate_gradients
@@ -17,7 +17,9 @@ SOLVERS = ("auto", "direct", "conjugate_gradients")
 
 
 class Falkon(OnlineHead):
-    """f(x) = sum_m alpha_m k(x, c_m) that minimises 1/n sum_i (f(x_i) - y_i)^2 + lambda |f|^2.
+    """Kernel ridge regression on Nystrom centres, many problems in one solve.
+
+    f(x) = sum_m alpha_m k(x, c_m) minimises 1/n sum_i (f(x_i) - y_i)^2 + lambda |f|^2 over the span of the centres c_m.
 
     All problems (columns of Y) share samples, centres, kernel rows and the factorisation. Samples in float32 give
     float32 kernel rows with the M x M algebra in float64; samples in float64 stay float64 throughout.
@@ -171,7 +173,8 @@ class Falkon(OnlineHead):
         return self.solver == "conjugate_gradients"
 
     def _set(self, centers: torch.Tensor, alpha: torch.Tensor, system: NystromSystem | None) -> None:
-        self.centers, self.alpha, self._system = centers, alpha, system
+        # one memory layout for solved and for loaded coefficients: their scores agree to the last bit
+        self.centers, self.alpha, self._system = centers.contiguous(), alpha.contiguous(), system
         self._center_squares = (centers * centers).sum(dim=1)
 
     def _fitted(self) -> tuple[torch.Tensor, torch.Tensor]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import torch
+
 from icub_core.errors import ConfigError, unknown_name
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import torch
-from icub_core.errors import CheckpointError, ConfigError, NotFittedError, unknown_name
-from icub_core.interfaces.online_head import OnlineHead
 from torch.nn import functional
 
+from icub_core.errors import CheckpointError, ConfigError, NotFittedError, unknown_name
+from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.heads.checks import check_samples, check_training_set
 from icub_segmenters.heads.products import fast_products
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import torch
-from icub_core.errors import DataError
 
+from icub_core.errors import DataError
 from icub_segmenters.heads.kernels import Kernel
 
 BLOCK_BYTES = 32 * 2**20

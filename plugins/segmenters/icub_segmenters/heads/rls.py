@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import torch
+
 from icub_core.errors import CheckpointError, ConfigError, NotFittedError
 from icub_core.interfaces.online_head import OnlineHead
-
 from icub_segmenters.heads.checks import check_samples, check_training_set
 from icub_segmenters.heads.nystrom import cholesky_with_jitter
 
