@@ -82,6 +82,8 @@ class _Count:
     best_success: float = -1.0
     best_return: float = -np.inf
     first_success: float = -1.0
+    last_success: float = -1.0
+    best_env_steps: int = 0
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT_EPISODES))
 
 
@@ -169,7 +171,13 @@ class Trainer:
             env_steps=count.env_steps,
             updates=self._sac.updates,
             episodes=count.episodes,
-            metrics={"best_success": count.best_success, "first_success": count.first_success, **self._fault_share()},
+            metrics={
+                "best_success": count.best_success,
+                "first_success": count.first_success,
+                "last_success": count.last_success,
+                "best_env_steps": float(count.best_env_steps),
+                **self._fault_share(),
+            },
         )
 
     def _fault_share(self) -> dict[str, float]:
@@ -285,11 +293,13 @@ class Trainer:
             results.ends(),
             np.mean(count.recent) if count.recent else float("nan"), float(self._sac.log_alpha.detach().exp()),
         )  # fmt: skip
+        count.last_success = score
         if count.first_success < 0:
             count.first_success = score
         frozen = self._sac.updates <= self._settings.critic_updates  # the same actor, better critics
         if frozen or (score, mean_return) > (count.best_success, count.best_return):
             count.best_success, count.best_return = score, mean_return
+            count.best_env_steps = count.env_steps
             self._best = {name: value.clone() for name, value in self._sac.weights().items()}
             if self._exports is not None:
                 self._policy.save(self._exports)
