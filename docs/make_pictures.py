@@ -25,15 +25,16 @@ import imageio.v3 as iio
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pillow
+from tensordict import TensorDictBase
 
 from icub_core import registry
 from icub_core.data import RgbdFrame
 from icub_core.geometry import invert, look_at, make_transform, quat_wxyz_to_matrix, rotation_about
+from icub_core.gl import choose_backend
 from icub_core.interfaces.robot import Robot
 from icub_core.interfaces.simulator import Simulator
 from icub_core.pipeline.pictures import captioned, colour_of, contact_sheet, draw_instances
 from icub_core.scene import CameraView, Light, Material, ObjectSpec, Scene, Table
-from icub_core.gl import choose_backend
 
 Image = NDArray[np.uint8]
 FOLDER = Path(__file__).parent / "images"
@@ -315,7 +316,7 @@ def grasp() -> None:
 
     steps = 0
 
-    def record(world: int, env: GraspEnv, episode: int) -> None:
+    def record(world: int, env: GraspEnv, episode: int, step: TensorDictBase) -> None:
         nonlocal steps
         if steps % FILMED == 0:
             shot = studio.shot((-0.83, 0.42, 1.30), (-0.29, 0.03, 1.12), 0.55)

@@ -2,14 +2,18 @@ import json
 
 import imageio.v3 as iio
 import numpy as np
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tensordict import TensorDict
 
 from icub_core.data import Instance
 from icub_core.geometry import is_rigid
+from icub_core.grasping.termination import EndReason
 from icub_core.hooks import Events, listen
 from icub_core.pipeline.appearance import random_lights, random_surface
 from icub_core.pipeline.context import RunContext
+from icub_core.pipeline.grasping import Announcer
 from icub_core.pipeline.pictures import contact_sheet, draw_instances, save_animation, save_picture
 from icub_core.pipeline.report import write_report
 from icub_core.pipeline.tabletop import scatter, standing_pose
@@ -92,6 +96,34 @@ def test_context_times_stages_tells_listeners_and_resumes(tmp_path):
     assert resumed.recall("see")
     assert resumed.metrics["segmentation.map50_segm"] == 0.8
     assert resumed.metrics["teach.seconds"] == resumed.seconds["teach"]
+
+
+class EpisodeListener:
+    def __init__(self):
+        self.heard = []
+
+    @listen
+    def icub_episode_start(self, episode, seed):
+        self.heard.append(("start", episode, seed))
+
+    @listen
+    def icub_step(self, reward, action):
+        self.heard.append(("step", reward, tuple(action.shape)))
+
+    @listen
+    def icub_episode_end(self, episode, success, steps, reason):
+        self.heard.append(("end", episode, success, steps, reason))
+
+
+def test_listeners_hear_episodes_and_their_steps():
+    listener = EpisodeListener()
+    announce = Announcer(Events([listener]), seed=5)
+    for reward, reason in ((0.0, EndReason.RUNNING), (2.0, EndReason.SUCCESS)):
+        step = {"action": torch.zeros(15), "reward": torch.tensor([reward]), "reason": torch.tensor([int(reason)])}
+        announce.record(3, TensorDict(step, []))
+    assert listener.heard == [
+        ("start", 3, 5), ("step", 0.0, (15,)), ("step", 2.0, (15,)), ("end", 3, True, 2, "success"),
+    ]  # fmt: skip
 
 
 def test_streams_depend_on_seed_and_purpose_only(tmp_path):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from tensordict import TensorDictBase
 
 from icub_core.errors import ConfigError
 from icub_core.grasping.env import GraspEnv
@@ -16,8 +17,9 @@ from icub_core.grasping.task import StartState
 from icub_core.grasping.termination import FIRST_FAULT, EndReason
 from icub_core.interfaces.policy import Policy, Progress
 
-FrameRecorder = Callable[[int, GraspEnv, int], None]
-"""Called after every step with world, environment and episode number, to take pictures."""
+StepRecorder = Callable[[int, GraspEnv, int, TensorDictBase], None]
+"""Called after every step with world, environment, episode number and what that world's step gave (observation,
+`action`, `reward`, `reason`), to take pictures and to tell listeners."""
 
 WILSON_Z = 1.959963984540054
 
@@ -101,7 +103,7 @@ def evaluate(
     episodes: int,
     seed: int = 0,
     *,
-    recorder: FrameRecorder | None = None,
+    recorder: StepRecorder | None = None,
     progress: Progress | None = None,
 ) -> EpisodeResults:
     """Run a policy deterministically for a number of episodes.
@@ -134,7 +136,7 @@ def run_episodes(
     episodes: int,
     start_of: Callable[[int, int], StartState],
     *,
-    recorder: FrameRecorder | None = None,
+    recorder: StepRecorder | None = None,
     progress: Progress | None = None,
 ) -> EpisodeResults:
     """Run episodes whose starts `start_of(world, episode)` gives; episode e runs in world e mod N."""
@@ -160,8 +162,9 @@ def run_episodes(
     finished = 0
     while any(episode is not None for episode in running):
         with torch.no_grad():
-            observation["action"] = policy.act(observation)
+            action = observation["action"] = policy.act(observation)
         observation = env.advance(observation, [episode is not None for episode in running])
+        observation["action"] = action
         reward = observation["reward"].reshape(-1).numpy()
         reason = observation["reason"].reshape(-1).numpy()
         begun = False
@@ -171,7 +174,7 @@ def run_episodes(
             returns[episode] += reward[world]
             steps[episode] += 1
             if recorder is not None:
-                recorder(world, env, episode)
+                recorder(world, env, episode, observation[world])
             if reason[world] == EndReason.RUNNING:
                 continue
             success[episode] = reason[world] == EndReason.SUCCESS

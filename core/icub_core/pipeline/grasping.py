@@ -6,18 +6,23 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
+from tensordict import TensorDictBase
 
 from icub_core.geometry import look_at
 from icub_core.grasping.env import GraspEnv
 from icub_core.grasping.evaluation import EpisodeResults, evaluate
 from icub_core.grasping.plan import GraspPlan
 from icub_core.grasping.task import GraspTask
+from icub_core.grasping.termination import EndReason
+from icub_core.hooks import Events
 from icub_core.interfaces.policy import Policy
 from icub_core.pipeline.context import RunContext
 from icub_core.pipeline.pictures import captioned, save_animation
 from icub_core.pipeline.settings import GraspSettings
 from icub_core.scene import CameraView
 
+EVALUATION_SEED = 1_000_000
+"""Added to the run's seed, so that evaluation never meets the starts that were learned from."""
 PLANS_TRIED = 10
 FILM_EVERY = 4
 """Control steps between two pictures of the film: ten a second."""
@@ -55,12 +60,19 @@ def grasp(context: RunContext, env: GraspEnv, policy: Policy, settings: GraspSet
             }
         )
     film = Film(settings.episodes - settings.video_episodes)
+    seed = context.seed + EVALUATION_SEED
+    announce = Announcer(context.events, seed)
+
+    def record(world: int, env: GraspEnv, episode: int, step: TensorDictBase) -> None:
+        film.record(world, env, episode)
+        announce.record(episode, step)
+
     results = evaluate(
         policy,
         env,
         settings.episodes,
-        seed=context.seed + 1_000_000,  # never the starts that were learned from
-        recorder=film.record,
+        seed=seed,
+        recorder=record,
         progress=lambda share, text: context.progress(0.7 + 0.3 * share, text),
     )
     low, high = results.interval
@@ -81,6 +93,33 @@ def grasp(context: RunContext, env: GraspEnv, policy: Policy, settings: GraspSet
         save_animation(path, pictures, frames_per_second=10)
         context.pictures.append(("The last grasps", path))
     return results
+
+
+class Announcer:
+    """Tells listeners about episodes and their steps."""
+
+    def __init__(self, events: Events, seed: int) -> None:
+        """Announce to `events`; `seed` is that of the evaluation's starts."""
+        self._events, self._seed = events, seed
+        self._steps: dict[int, int] = {}
+        self._wants_steps = events.wants("icub_step")
+
+    def record(self, episode: int, step: TensorDictBase) -> None:
+        """Announce one step, and the start or end of its episode with the first and last."""
+        if episode not in self._steps:
+            self._events.emit("icub_episode_start", episode=episode, seed=self._seed)
+        self._steps[episode] = self._steps.get(episode, 0) + 1
+        if self._wants_steps:
+            self._events.emit("icub_step", observation=step, action=step["action"], reward=float(step["reward"]))
+        reason = EndReason(int(step["reason"]))
+        if reason != EndReason.RUNNING:
+            self._events.emit(
+                "icub_episode_end",
+                episode=episode,
+                success=reason == EndReason.SUCCESS,
+                steps=self._steps[episode],
+                reason=reason.name.lower(),
+            )
 
 
 class Film:
