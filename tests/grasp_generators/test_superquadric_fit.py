@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from icub_core.errors import DataError
-from icub_core.geometry import make_transform, rotation_exp
+from icub_core.geometry import rotation_exp
 from icub_grasp_generators.superquadrics.fit import fit_superquadric
 from icub_grasp_generators.superquadrics.shape import Superquadric
 from icub_grasp_generators.synthetic_clouds import TABLE_TOP, matched, single_view

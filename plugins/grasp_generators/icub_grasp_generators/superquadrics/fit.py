@@ -15,26 +15,38 @@ The released code behind the thesis minimises (F^e1 - 1)^2 by forward difference
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.geometry import FloatArray
-from icub_grasp_generators.superquadrics.residuals import PARAMETERS, Solids, evaluate, outline_area, viewers
+from icub_grasp_generators.superquadrics.residuals import PARAMETERS, Solids, evaluate, outline, viewers
 from icub_grasp_generators.superquadrics.shape import EXPONENT_RANGE, Superquadric
 from icub_grasp_generators.superquadrics.start import scale_of, starts, usable_sample
 
-_COARSE_POINTS = 130
-_FIRST_SIGMAS = (0.05, 0.05, 0.03)  # of the object's size, one per step, from every start
-_KEPT = 3  # starts that go on after these steps
-_COARSE_SIGMAS = (0.03, 0.02, 0.02, 0.02)
-_FINE_STEPS = 10
-_SIGMA_FLOOR = 0.015  # of the object's size: no real object is a superquadric to better than that
+
+@dataclass(frozen=True)
+class _Step:
+    """What one step assumes: noise, of the object's size, and weight of the outline's area in the likelihood.
+
+    A weight of 1 is the likelihood itself, which ends a free edge sqrt(2) sigma inside its last points.
+    """
+
+    sigma: float
+    outline: float
+
+
+_LEAST_PULL = 0.012  # noise, of the size, below which the pull on the outline falls no further
+_COARSE_POINTS = 167
+_KEPT = 3  # starts that go on after the first steps
+_FIRST = tuple(_Step(sigma, 0.5) for sigma in (0.05, 0.04, 0.03, 0.02))
+_SECOND = tuple(_Step(sigma, 0.5) for sigma in (0.02, 0.02))
+# No real object is a superquadric to better than 1.5 %. The pull on the outline finds the right side of every
+# ambiguity; with less of it edges settle nearer to their last points.
+_LAST = (_Step(0.015, 0.5),) * 11 + (_Step(0.015, 0.2),) * 2
 _OUTLIER_AT = 3.0  # distance, in sigmas, at which inlier and outlier are equally likely
-_OUTLINE_WEIGHT = 0.5  # 1 is the likelihood itself, which ends a free edge sqrt(2) sigma inside its last points
-_LAST_STEPS = 2
-_LAST_OUTLINE_WEIGHT = 0.2
 _AVERTED = 0.2  # of a normal against the mean of the visible normals
 _TABLE_WEIGHT = 0.3  # of the number of points
 _CONVERGED = 2e-3  # step, in units of the object's size and radians
@@ -132,60 +144,68 @@ class _Terms:
 
 
 def _descend(
-    problem: _Problem, solids: Solids, sigmas: tuple[float, ...], outline: float, *, estimate: bool
+    problem: _Problem, solids: Solids, steps: Sequence[_Step], *, estimate: bool
 ) -> tuple[Solids, FloatArray, FloatArray, FloatArray]:
-    """Improve a batch of solids, one damped step per entry of `sigmas`.
+    """Improve a batch of solids by damped Gauss-Newton steps.
 
     Args:
         problem: The cloud.
         solids: Where to start; overwritten.
-        sigmas: Noise of each step, or, with `estimate`, the least noise that may be estimated.
-        outline: Weight of the outline's area, 0..1.
-        estimate: Estimate the noise from the weighted distances, and stop when the steps become small.
+        steps: What each step assumes.
+        estimate: Estimate the noise from the weighted distances (the steps' noise is then the least that is believed),
+            leave sides that look away out of account, and skip steps of a kind once they have become small.
 
     Returns:
         The solids, their costs (S,), the points' weights (S, N), and the noise (S,).
     """
     damping = np.full(len(solids.R), 1e-2)
-    sigma = np.full(len(solids.R), sigmas[0])
+    sigma = np.full(len(solids.R), steps[0].sigma)
     terms = problem.terms(solids)
-    view = np.zeros((len(sigma), 3))
-    w, cost = terms.mixture(sigma, view)
-    for limit in sigmas:
-        if estimate:
-            spread = np.sqrt(np.einsum("sn,sn,sn->s", w, terms.r, terms.r) / np.maximum(w.sum(axis=1), 1.0))
-            sigma = np.maximum(np.minimum(1.1 * spread, sigma), limit)
-        else:
-            sigma = np.full(len(solids.R), limit)
+    nowhere = np.zeros((len(sigma), 3))
+    w, cost = terms.mixture(sigma, nowhere)
+    spread = sigma
+    converged: _Step | None = None
+    for kind in steps:
+        if kind is converged:
+            continue
         view = terms.view(w)
-        seen = view if estimate else np.zeros_like(view)
-        w, cost = terms.mixture(sigma, seen)
-        weighted = terms.J * w[:, None]
-        pull = (outline * problem.count) * sigma**2
+        seen = view if estimate else nowhere
+        if estimate:
+            spread = 1.1 * np.sqrt(np.einsum("sn,sn,sn->s", w, terms.r, terms.r) / np.maximum(w.sum(axis=1), 1.0))
+            sigma = np.maximum(np.minimum(spread, sigma), kind.sigma)
+            w, cost = terms.mixture(sigma, seen)
+        elif sigma[0] != kind.sigma:
+            spread = sigma = np.full(len(solids.R), kind.sigma)
+            w, cost = terms.mixture(sigma, seen)
         viewer = viewers(solids, view)
-        area, J_area = outline_area(solids, viewer)
-        step = _step(solids, terms, weighted, pull[:, None] * J_area, damping)
+        pull = (kind.outline * problem.count) * np.maximum(spread, _LEAST_PULL) ** 2
+        area, area_slope = outline(solids, viewer)
+        area_slope *= pull[:, None]
+        step = _solve(solids, terms, terms.J * w[:, None], area_slope, damping)
         trial = solids.moved(step, _LOW, _HIGH)
         trial_terms = problem.terms(trial)
         trial_w, trial_cost = trial_terms.mixture(sigma, seen)
-        better = trial_cost + pull * outline_area(trial, viewer)[0] < cost + pull * area
+        better = trial_cost + pull * (outline(trial, viewer)[0] - area) < cost
         if better.all():
             solids, terms, w, cost = trial, trial_terms, trial_w, trial_cost
+            damping = np.maximum(damping * 0.2, 1e-7)
             if estimate and float(np.abs(step).max()) < _CONVERGED:
-                break
+                converged = kind
         else:
             solids.R[better], solids.vector[better] = trial.R[better], trial.vector[better]
             terms.replace(trial_terms, better)
             w[better], cost[better] = trial_w[better], trial_cost[better]
-        damping = np.clip(np.where(better, damping * 0.2, damping * 8.0), 1e-7, 1e3)
+            damping = np.where(better, damping * 0.2, np.minimum(damping * 8.0, 1e3))
     return solids, cost, w, sigma
 
 
-def _step(solids: Solids, terms: _Terms, weighted: FloatArray, g_area: FloatArray, damping: FloatArray) -> FloatArray:
+def _solve(
+    solids: Solids, terms: _Terms, weighted: FloatArray, area_slope: FloatArray, damping: FloatArray
+) -> FloatArray:
     """One damped Gauss-Newton step (S, 11) that does not push parameters through their bounds."""
     H = weighted @ terms.J.transpose(0, 2, 1)
     g = (weighted @ terms.r[..., None])[..., 0]
-    g += g_area
+    g += area_slope
     if terms.r_table is not None and terms.J_table is not None:
         H += terms.J_table[:, :, None] * terms.J_table[:, None]
         g += terms.J_table * terms.r_table[:, None]
@@ -221,22 +241,12 @@ def fit_superquadric(points: NDArray[np.floating], table_top: float | None = Non
     sample -= origin
     sample /= size
     table = None if table_top is None else (table_top - origin[2]) / size
-    few = sample[:: max(1, len(sample) // _COARSE_POINTS)]
-    coarse = _Problem(few, table)
-    solids, cost, _, _ = _descend(coarse, starts(few, table), _FIRST_SIGMAS, _OUTLINE_WEIGHT, estimate=False)
+    coarse = _Problem(sample[:: max(1, round(len(sample) / _COARSE_POINTS))], table)
+    solids, cost, _, _ = _descend(coarse, starts(sample, table), _FIRST, estimate=False)
     solids = solids.take(np.argsort(cost, kind="stable")[:_KEPT])
-    solids, cost, _, _ = _descend(coarse, solids, _COARSE_SIGMAS, _OUTLINE_WEIGHT, estimate=False)
-    problem = _Problem(sample, table)
-    solids, _, w, sigma = _descend(
-        problem,
-        solids.take(np.argmin(cost, keepdims=True)),
-        (_COARSE_SIGMAS[-1],) + (_SIGMA_FLOOR,) * _FINE_STEPS,
-        _OUTLINE_WEIGHT,
-        estimate=True,
-    )
-    # the pull has found the right side of every ambiguity; with less of it edges settle nearer to their last points
-    noise = float(sigma[0])
-    solids, _, w, sigma = _descend(problem, solids, (noise,) * _LAST_STEPS, _LAST_OUTLINE_WEIGHT, estimate=False)
+    solids, cost, _, _ = _descend(coarse, solids, _SECOND, estimate=False)
+    solids = solids.take(np.argmin(cost, keepdims=True))
+    solids, _, w, sigma = _descend(_Problem(sample, table), solids, _LAST, estimate=True)
     shape = Superquadric.from_parts(
         solids.half[0] * size, solids.exponents[0].copy(), solids.R[0], solids.center[0] * size + origin
     )

@@ -157,8 +157,8 @@ def viewers(solids: Solids, normals: FloatArray) -> FloatArray:
     return (solids.R @ local[:, :, None])[..., 0]
 
 
-def outline_area(solids: Solids, view: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Logarithm of the area of the outlines of the solids' boxes seen from directions `view` (S, 3), up to a constant.
+def outline(solids: Solids, view: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Logarithm of the area of the outlines of the solids' boxes, seen from directions `view` (S, 3), up to a constant.
 
     log sum_i |d_i| a_j a_k with d the direction in the solid's axes. For rounded solids it is not exact; it is a weak
     term, of which only the sense counts there.
