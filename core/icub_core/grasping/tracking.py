@@ -14,7 +14,8 @@ from icub_core.interfaces.robot import Robot
 
 FloatArray = NDArray[np.float64]
 
-DAMPING = 1e-4
+DAMPED = 1e-4 * np.eye(6)
+"""lambda I."""
 MAX_ACTIVE_SET_ROUNDS = 3
 LIMIT_MARGIN = 1e-9
 
@@ -47,8 +48,8 @@ class HandTracker:
         start = q[:, self._joints]
         step = self._solve(J, error, start)
         q[:, self._joints] = start + step
-        left = error - np.einsum("nij,nj->ni", J, step)
-        return np.sqrt(np.stack([np.sum(left[:, :3] ** 2, axis=1), np.sum(left[:, 3:] ** 2, axis=1)], axis=1))
+        left = error - (J @ step[:, :, None])[:, :, 0]
+        return np.sqrt(np.add.reduce((left * left).reshape(worlds, 2, 3), axis=2))
 
     def _solve(self, J: FloatArray, error: FloatArray, start: FloatArray) -> FloatArray:
         """Damped least squares with the joints that would pass a limit moved to it and left out."""
@@ -61,7 +62,7 @@ class HandTracker:
         for _ in range(MAX_ACTIVE_SET_ROUNDS):
             fixed |= outside
             clipped = np.where(fixed, np.clip(step, low, high), 0.0)
-            rest = error - np.einsum("nij,nj->ni", J, clipped)
+            rest = error - (J @ clipped[:, :, None])[:, :, 0]
             step = np.where(fixed, clipped, _damped_step(J * ~fixed[:, None, :], rest))
             outside = ~fixed & ((step < low - LIMIT_MARGIN) | (step > high + LIMIT_MARGIN))
             if not outside.any():
@@ -70,14 +71,13 @@ class HandTracker:
 
 
 def _damped_step(J: FloatArray, error: FloatArray) -> FloatArray:
-    gram = J @ np.swapaxes(J, 1, 2)
-    gram[:, range(6), range(6)] += DAMPING
-    return np.einsum("nij,ni->nj", J, np.linalg.solve(gram, error[..., None])[..., 0])
+    J_t = J.transpose(0, 2, 1)
+    return (J_t @ np.linalg.solve(J @ J_t + DAMPED, error[:, :, None]))[:, :, 0]
 
 
 def small_rotation(R: FloatArray) -> FloatArray:
     """Return rotation vectors (N, 3) of rotations (N, 3, 3): exact direction, exact length below pi/2, 1 beyond it."""
-    axis = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
-    sine = np.sqrt(np.sum(axis * axis, axis=1))
+    axis = 0.5 * (R[:, [2, 0, 1], [1, 2, 0]] - R[:, [1, 2, 0], [2, 0, 1]])
+    sine = np.sqrt(np.add.reduce(axis * axis, axis=1))
     angle = np.arcsin(np.minimum(sine, 1.0))
     return axis * (angle / np.maximum(sine, 1e-12))[:, None]
