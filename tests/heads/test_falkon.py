@@ -5,14 +5,15 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.metrics.pairwise import rbf_kernel
+
 from icub_core.errors import CheckpointError, ConfigError, DataError, NotFittedError
 from icub_segmenters.heads.centers import balanced_centers, uniform_centers
 from icub_segmenters.heads.conjugate_gradients import is_cheaper_than_direct
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.heads.kernels import make_kernel
 from icub_segmenters.heads.nystrom import gram
-from sklearn.kernel_ridge import KernelRidge
-from sklearn.metrics.pairwise import rbf_kernel
 
 
 def problem(n=300, d=6, t=3, seed=0, dtype=torch.float64):

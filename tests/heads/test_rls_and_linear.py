@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import torch
+from sklearn.linear_model import LogisticRegression
+
 from icub_core.errors import CheckpointError, ConfigError, DataError, NotFittedError
 from icub_segmenters.heads.linear import Linear
 from icub_segmenters.heads.rls import Rls
-from sklearn.linear_model import LogisticRegression
 
 
 def boxes(n=200, d=10, seed=0):
