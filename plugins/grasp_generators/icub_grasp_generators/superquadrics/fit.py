@@ -20,9 +20,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from icub_core.geometry import FloatArray
-from icub_grasp_generators.superquadrics.residuals import PARAMETERS, Solids, evaluate, outline, viewers
+from icub_grasp_generators.superquadrics.residuals import (
+    PARAMETERS,
+    Solids,
+    evaluate,
+    outline,
+    outline_jacobian,
+    viewers,
+)
 from icub_grasp_generators.superquadrics.shape import EXPONENT_RANGE, Superquadric
 from icub_grasp_generators.superquadrics.start import scale_of, starts, usable_sample
 
@@ -39,17 +47,18 @@ class _Step:
 
 
 _LEAST_PULL = 0.012  # noise, of the size, below which the pull on the outline falls no further
-_COARSE_POINTS = 167
-_KEPT = 3  # starts that go on after the first steps
+_COARSE_POINTS = 125
+_KEPT = 2  # starts that go on after the first steps
 _FIRST = tuple(_Step(sigma, 0.5) for sigma in (0.05, 0.04, 0.03, 0.02))
 _SECOND = tuple(_Step(sigma, 0.5) for sigma in (0.02, 0.02))
 # No real object is a superquadric to better than 1.5 %. The pull on the outline finds the right side of every
 # ambiguity; with less of it edges settle nearer to their last points.
-_LAST = (_Step(0.015, 0.5),) * 11 + (_Step(0.015, 0.2),) * 2
+_LAST = (_Step(0.015, 0.5),) * 10 + (_Step(0.015, 0.2),) * 2
 _OUTLIER_AT = 3.0  # distance, in sigmas, at which inlier and outlier are equally likely
 _AVERTED = 0.2  # of a normal against the mean of the visible normals
 _TABLE_WEIGHT = 0.3  # of the number of points
-_CONVERGED = 2e-3  # step, in units of the object's size and radians
+_CONVERGED = 3e-3  # step, in units of the object's size and radians
+_CAUTION = 1.1  # by which the noise is taken to be larger than estimated: weights cut the tails off
 _DAMPED = 0.1  # curvature, per point, that damping adds to every direction
 _LOW = np.array([-np.inf] * 3 + [np.log(0.02)] * 3 + [EXPONENT_RANGE[0]] * 2)
 _HIGH = np.array([np.inf] * 3 + [np.log(2.0)] * 3 + [EXPONENT_RANGE[1]] * 2)
@@ -64,13 +73,11 @@ class SuperquadricFit:
         shape: The superquadric, in the cloud's frame.
         rms: Root mean square distance of the inliers to the surface, metres.
         inliers: Share of the points that the fit takes for surface, 0..1.
-        noise: Estimated standard deviation of the inliers, metres.
     """
 
     shape: Superquadric
     rms: float
     inliers: float
-    noise: float
 
 
 class _Problem:
@@ -126,6 +133,11 @@ class _Terms:
         """
         return -(self.J[:, :3] @ w[:, :, None])[..., 0] / np.maximum(w.sum(axis=1), 1.0)[:, None]
 
+    def deviation(self, w: FloatArray) -> FloatArray:
+        """Return the weighted root mean square of the distances (S,)."""
+        square: FloatArray = np.einsum("sn,sn->s", w * self.r, self.r)
+        return np.sqrt(square / np.maximum(w.sum(axis=1), 1.0))
+
     def mixture(self, sigma: FloatArray, view: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the points' probabilities of being surface (S, N) and -sigma^2 times the log likelihood (S,)."""
         odds = self.r / sigma[:, None]
@@ -156,7 +168,7 @@ def _descend(
             leave sides that look away out of account, and skip steps of a kind once they have become small.
 
     Returns:
-        The solids, their costs (S,), the points' weights (S, N), and the noise (S,).
+        The solids, their costs (S,), the points' weights (S, N), and the weighted deviations of the points (S,).
     """
     damping = np.full(len(solids.R), 1e-2)
     sigma = np.full(len(solids.R), steps[0].sigma)
@@ -171,7 +183,7 @@ def _descend(
         view = terms.view(w)
         seen = view if estimate else nowhere
         if estimate:
-            spread = 1.1 * np.sqrt(np.einsum("sn,sn,sn->s", w, terms.r, terms.r) / np.maximum(w.sum(axis=1), 1.0))
+            spread = _CAUTION * terms.deviation(w)
             sigma = np.maximum(np.minimum(spread, sigma), kind.sigma)
             w, cost = terms.mixture(sigma, seen)
         elif sigma[0] != kind.sigma:
@@ -179,24 +191,23 @@ def _descend(
             w, cost = terms.mixture(sigma, seen)
         viewer = viewers(solids, view)
         pull = (kind.outline * problem.count) * np.maximum(spread, _LEAST_PULL) ** 2
-        area, area_slope = outline(solids, viewer)
-        area_slope *= pull[:, None]
-        step = _solve(solids, terms, terms.J * w[:, None], area_slope, damping)
+        step = _solve(solids, terms, terms.J * w[:, None], pull[:, None] * outline_jacobian(solids, viewer), damping)
         trial = solids.moved(step, _LOW, _HIGH)
         trial_terms = problem.terms(trial)
         trial_w, trial_cost = trial_terms.mixture(sigma, seen)
-        better = trial_cost + pull * (outline(trial, viewer)[0] - area) < cost
+        better = trial_cost + pull * (outline(trial, viewer) - outline(solids, viewer)) < cost
         if better.all():
             solids, terms, w, cost = trial, trial_terms, trial_w, trial_cost
             damping = np.maximum(damping * 0.2, 1e-7)
-            if estimate and float(np.abs(step).max()) < _CONVERGED:
-                converged = kind
         else:
             solids.R[better], solids.vector[better] = trial.R[better], trial.vector[better]
             terms.replace(trial_terms, better)
             w[better], cost[better] = trial_w[better], trial_cost[better]
             damping = np.where(better, damping * 0.2, np.minimum(damping * 8.0, 1e3))
-    return solids, cost, w, sigma
+        # |grad G| is held fixed during a step, so near the minimum a step need not descend: refusals end there too
+        if estimate and (not better[0] or float(np.abs(step).max()) < _CONVERGED):
+            converged = kind
+    return solids, cost, w, terms.deviation(w)
 
 
 def _solve(
@@ -210,16 +221,17 @@ def _solve(
         H += terms.J_table[:, :, None] * terms.J_table[:, None]
         g += terms.J_table * terms.r_table[:, None]
     bounded, slope = solids.vector[:, 3:], g[:, 6:]
-    stuck = np.zeros(g.shape, dtype=bool)
-    stuck[:, 6:] = ((bounded <= _LOW[3:]) & (slope > 0)) | ((bounded >= _HIGH[3:]) & (slope < 0))
-    if stuck.any():
-        free = (~stuck).astype(float)
-        H *= free[:, :, None] * free[:, None]
-        g *= free
+    stuck = ((bounded <= _LOW[3:]) & (slope > 0)) | ((bounded >= _HIGH[3:]) & (slope < 0))
     diagonal = H.reshape(len(H), -1)[:, :: PARAMETERS + 1]
     # damping has an absolute part too: hidden sides have no curvature of their own, only the outline's pull
-    diagonal += damping[:, None] * (diagonal + _DAMPED * terms.r.shape[1]) + stuck
-    return np.asarray(-np.linalg.solve(H, g[..., None])[..., 0], dtype=np.float64)
+    diagonal += damping[:, None] * (diagonal + _DAMPED * terms.r.shape[1])
+    for solid, parameter in zip(*np.nonzero(stuck), strict=True):
+        H[solid, 6 + parameter] = 0.0
+        H[solid, :, 6 + parameter] = 0.0
+        H[solid, 6 + parameter, 6 + parameter] = 1.0
+        g[solid, 6 + parameter] = 0.0
+    # Cholesky one by one: numpy's batched LU costs more than all of them
+    return np.array([lapack.dposv(H_s, -g_s)[1] for H_s, g_s in zip(H, g, strict=True)])
 
 
 def fit_superquadric(points: NDArray[np.floating], table_top: float | None = None) -> SuperquadricFit:
@@ -241,15 +253,14 @@ def fit_superquadric(points: NDArray[np.floating], table_top: float | None = Non
     sample -= origin
     sample /= size
     table = None if table_top is None else (table_top - origin[2]) / size
-    coarse = _Problem(sample[:: max(1, round(len(sample) / _COARSE_POINTS))], table)
-    solids, cost, _, _ = _descend(coarse, starts(sample, table), _FIRST, estimate=False)
+    few = sample[:: max(1, round(len(sample) / _COARSE_POINTS))]
+    coarse = _Problem(few, table)
+    solids, cost, _, _ = _descend(coarse, starts(few, table), _FIRST, estimate=False)
     solids = solids.take(np.argsort(cost, kind="stable")[:_KEPT])
     solids, cost, _, _ = _descend(coarse, solids, _SECOND, estimate=False)
     solids = solids.take(np.argmin(cost, keepdims=True))
-    solids, _, w, sigma = _descend(_Problem(sample, table), solids, _LAST, estimate=True)
+    solids, _, w, deviation = _descend(_Problem(sample, table), solids, _LAST, estimate=True)
     shape = Superquadric.from_parts(
         solids.half[0] * size, solids.exponents[0].copy(), solids.R[0], solids.center[0] * size + origin
     )
-    distance = shape.distance(sample * size + origin)
-    rms = float(np.sqrt(np.dot(w[0], distance**2) / max(float(w.sum()), 1e-9)))
-    return SuperquadricFit(shape, rms, float(w.mean()), float(sigma[0]) * size)
+    return SuperquadricFit(shape, float(deviation[0]) * size, float(w.mean()))

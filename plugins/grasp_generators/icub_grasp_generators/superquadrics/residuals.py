@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.geometry import FloatArray
-from icub_grasp_generators.superquadrics.shape import nested_norm_rows
+from icub_grasp_generators.superquadrics.shape import nested_norm
 
 PARAMETERS = 11
+_TINY = 1e-12  # added to divisors that may be zero
 
 
 @dataclass
@@ -125,24 +126,26 @@ def evaluate(solids: Solids, points: FloatArray, direction: FloatArray | None = 
         s1[:, :count], s2[:, :count] = s[:, :1], s[:, 1:]
         q = 2.0 / (2.0 - exponents)
         s1[:, count], s2[:, count] = q[:, 0], q[:, 1]
-    norm, by_v, by_s1, by_s2 = nested_norm_rows(v, s1, s2)
+    values = nested_norm(v, s1, s2)
+    norm = values.norm
 
     J = np.empty((len(R), PARAMETERS, norm.shape[1]))
-    np.multiply(by_v, v, out=J[:, 6:9])
-    by_local = by_v[:, :, :count] / column
+    np.multiply(values.shares, -norm[:, None], out=J[:, 6:9])
+    by_local = J[:, 6:9, :count] / (local + np.copysign(_TINY, local))  # -dG/dlocal
     np.matmul(R, by_local, out=J[:, 0:3, :count])
     _cross_rows(local, by_local, J[:, 3:6, :count])
     slope = np.sqrt(np.einsum("skn,skn->sn", by_local, by_local))
-    np.multiply(by_s1, 0.5 * s1**2, out=J[:, 9])
-    np.multiply(by_s2, 0.5 * s2**2, out=J[:, 10])
+    norm_half = -0.5 * norm
+    np.multiply(values.by_s1, norm_half * s1**2, out=J[:, 9])
+    np.multiply(values.by_s2, norm_half * s2**2, out=J[:, 10])
     if direction is None:
-        return SolidValues(norm, np.negative(J, out=J), slope)
+        return SolidValues(norm, J, slope)
     # the dual's powers grow with the exponents and its argument with the axes, hence the opposite signs
-    J_reach = J[:, :, count].copy()
+    J_reach = -J[:, :, count]
     J_reach[:, 0:3] = 0.0
-    _cross_rows(half * by_v[:, :, count], u, J_reach[:, 3:6])
-    J = J[:, :, :count]
-    return SolidValues(norm[:, :count], np.negative(J, out=J), slope, norm[:, count], J_reach)
+    by_u = J_reach[:, 6:9] / (u + np.copysign(_TINY, u))
+    _cross_rows(by_u, u, J_reach[:, 3:6])
+    return SolidValues(norm[:, :count], J[:, :, :count], slope, norm[:, count], J_reach)
 
 
 def viewers(solids: Solids, normals: FloatArray) -> FloatArray:
@@ -157,21 +160,24 @@ def viewers(solids: Solids, normals: FloatArray) -> FloatArray:
     return (solids.R @ local[:, :, None])[..., 0]
 
 
-def outline(solids: Solids, view: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Logarithm of the area of the outlines of the solids' boxes, seen from directions `view` (S, 3), up to a constant.
+def outline(solids: Solids, view: FloatArray) -> FloatArray:
+    """Logarithm (S,) of the area of the outlines of the solids' boxes, seen from directions `view` (S, 3).
 
-    log sum_i |d_i| a_j a_k with d the direction in the solid's axes. For rounded solids it is not exact; it is a weak
-    term, of which only the sense counts there.
-
-    Returns:
-        The logarithm (S,) and its Jacobian (S, 11).
+    log sum_i |d_i| a_j a_k, up to a constant, with d the direction in the solid's axes. For rounded solids it is not
+    exact; it is a weak term, of which only the sense counts there.
     """
     half = solids.half
     d = (view[:, None, :] @ solids.R)[:, 0]
-    face = half.prod(axis=1, keepdims=True) / half
+    return np.log((np.abs(d) / half).sum(axis=1) * half.prod(axis=1) + _TINY)
+
+
+def outline_jacobian(solids: Solids, view: FloatArray) -> FloatArray:
+    """Differentiate `outline` by the eleven parameters: (S, 11)."""
+    d = (view[:, None, :] @ solids.R)[:, 0]
+    face = 1.0 / solids.half  # up to the factor a1 a2 a3
     seen = np.abs(d) * face
-    total = seen.sum(axis=1, keepdims=True) + 1e-12
-    J = np.zeros((len(half), PARAMETERS))
+    total = seen.sum(axis=1, keepdims=True) + _TINY
+    J = np.zeros((len(d), PARAMETERS))
     _cross_rows(np.copysign(face / total, d), d, J[:, 3:6])
     J[:, 6:9] = 1.0 - seen / total
-    return np.log(total[:, 0]), J
+    return J

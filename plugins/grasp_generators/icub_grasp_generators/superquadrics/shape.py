@@ -23,53 +23,64 @@ from icub_core.geometry import FloatArray, is_rigid, make_transform
 EXPONENT_RANGE = (0.05, 1.3)
 """Lowest and highest exponent: below, edges are sharper than sensors resolve; above, a diamond mimics a turned box."""
 
-_TINY = 1e-12
+_TINY = 1e-12  # added to coordinates: log 0
+_NOTHING = 1e-300  # added to sums of powers that may all underflow
 
 
-def _two_norm(a: FloatArray, b: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return (|a|^s + |b|^s)^(1/s) for a, b >= 0 and its derivatives by a, b and s, without overflow."""
-    larger = np.maximum(a, b) + _TINY
-    t = np.minimum(a, b) / larger + _TINY
-    log_t = np.log(t)
-    power = np.exp(s * log_t)  # t^s
-    total = 1.0 + power
-    log_root = np.log(total) / s
-    root = np.exp(log_root)
-    norm = larger * root
-    d_larger = root / total
-    log_t *= power
-    log_t /= total
-    log_t -= log_root
-    log_t *= norm
-    log_t /= s  # now the derivative by s
-    power /= t
-    power *= d_larger  # now the derivative by the smaller
-    a_is_larger = a >= b
-    return norm, np.where(a_is_larger, d_larger, power), np.where(a_is_larger, power, d_larger), log_t
+@dataclass
+class NormValues:
+    """The norm of S sets of N vectors and its logarithmic derivatives.
+
+    Attributes:
+        norm: N (S, N).
+        shares: (S, 3, N) d log N / d log v_i, which add up to one.
+        by_s1: (S, N) d log N / d s1.
+        by_s2: (S, N) d log N / d s2.
+    """
+
+    norm: FloatArray
+    shares: FloatArray
+    by_s1: FloatArray
+    by_s2: FloatArray
 
 
-def nested_norm_rows(
-    v: FloatArray, s1: FloatArray, s2: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def nested_norm(v: FloatArray, s1: FloatArray, s2: FloatArray) -> NormValues:
     """Evaluate N(v) = ((|v1|^s2 + |v2|^s2)^(s1/s2) + |v3|^s1)^(1/s1) and its derivatives.
 
     Args:
-        v: (S, 3, N) S sets of N vectors, components in rows.
-        s1: (S, 1) powers above 1.
-        s2: (S, 1) powers above 1.
-
-    Returns:
-        N (S, N), dN/dv (S, 3, N), dN/ds1 (S, N), dN/ds2 (S, N).
+        v: (S, 3, N) S sets of N vectors, components in rows; |v|^s must not overflow.
+        s1: (S, 1) or (S, N) powers above 1.
+        s2: (S, 1) or (S, N) powers above 1.
     """
-    size = np.abs(v)
-    rho, rho_x, rho_y, rho_s = _two_norm(size[:, 0], size[:, 1], s2)
-    norm, by_rho, by_z, by_s1 = _two_norm(rho, size[:, 2], s1)
-    gradient = np.empty_like(v)
-    np.multiply(by_rho, rho_x, out=gradient[:, 0])
-    np.multiply(by_rho, rho_y, out=gradient[:, 1])
-    gradient[:, 2] = by_z
-    rho_s *= by_rho
-    return norm, np.copysign(gradient, v, out=gradient), by_s1, rho_s
+    logs = np.abs(v)
+    logs += _TINY
+    np.log(logs, out=logs)
+    shares = np.empty_like(logs)
+    flat = np.exp(logs[:, :2] * s2[:, None])  # |v1|^s2, |v2|^s2
+    total = flat[:, 0] + flat[:, 1]
+    total += _NOTHING
+    flat /= total[:, None]
+    log_rho = np.log(total)
+    log_rho /= s2
+    by_s2 = np.einsum("scn,scn->sn", flat, logs[:, :2])
+    by_s2 -= log_rho
+    by_s2 /= s2
+    by_rho = np.exp(log_rho * s1)
+    by_z = np.exp(logs[:, 2] * s1)
+    total = by_rho + by_z
+    total += _NOTHING
+    by_rho /= total
+    np.divide(by_z, total, out=shares[:, 2])
+    log_norm = np.log(total)
+    log_norm /= s1
+    log_rho *= by_rho
+    by_s1 = shares[:, 2] * logs[:, 2]
+    by_s1 += log_rho
+    by_s1 -= log_norm
+    by_s1 /= s1
+    by_s2 *= by_rho
+    np.multiply(flat, by_rho[:, None], out=shares[:, :2])
+    return NormValues(np.exp(log_norm), shares, by_s1, by_s2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,10 +111,16 @@ class Superquadric:
         return self.T_world_object[:3, 3]
 
     def _norm(self, v: FloatArray, powers: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return N (...) and dN/dv (..., 3) at v (..., 3)."""
-        rows = np.ascontiguousarray(v.reshape(-1, 3).T)[None]
-        norm, gradient, _, _ = nested_norm_rows(rows, powers[None, :1], powers[None, 1:])
-        return norm[0].reshape(v.shape[:-1]), gradient[0].T.reshape(v.shape)
+        """Return N (...) and dN/dv (..., 3) at v (..., 3) of any length."""
+        # a norm is homogeneous: at lengths of one no power overflows
+        length = np.maximum(np.abs(v).max(axis=-1, keepdims=True), _TINY)
+        unit = v / length
+        rows = np.ascontiguousarray(unit.reshape(-1, 3).T)[None]
+        values = nested_norm(rows, powers[None, :1], powers[None, 1:])
+        norm = values.norm[0].reshape(v.shape[:-1])
+        shares = values.shares[0].T.reshape(v.shape)
+        gradient = norm[..., None] * shares / np.where(np.abs(unit) < _TINY, np.copysign(_TINY, unit), unit)
+        return norm * length[..., 0], gradient
 
     def _gauge(self, points: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
         """Return G (...) and its gradient (..., 3) in the solid's axes."""

@@ -40,7 +40,7 @@ def usable_sample(points: NDArray[np.floating]) -> FloatArray:
     extent = float(np.max(high - low))
     if extent > MAX_EXTENT:
         raise DataError(f"the cloud extends over {extent:.3g} m; expected one object of at most {MAX_EXTENT} m")
-    deviation = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(sample.T)), 0.0))
+    deviation = np.sqrt(np.maximum(np.linalg.eigvalsh(_covariance(sample)), 0.0))
     if deviation[2] < MIN_EXTENT:
         raise DataError(f"all points of the cloud lie within {deviation[2] * 1e3:.2g} mm; expected a surface")
     if deviation[1] < _LINE * deviation[2]:
@@ -53,6 +53,12 @@ def thin(points: NDArray[np.floating], count: int) -> FloatArray:
     if len(points) > count:
         points = points[np.random.default_rng(0).integers(len(points), size=count)]
     return np.array(points, dtype=np.float64)
+
+
+def _covariance(points: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of points (N, 3); several times faster than `np.cov`."""
+    centred = points - points.mean(axis=0)
+    return centred.T @ centred / len(points)
 
 
 def _extents(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -70,10 +76,10 @@ def scale_of(points: FloatArray) -> tuple[FloatArray, float]:
 
 
 def starts(points: FloatArray, table: float | None) -> Solids:
-    """Return nine solids in boxes around points (N, 3): three boxes, each with every axis as the first.
+    """Return six solids in boxes around points (N, 3): two boxes, each with every axis as the axis of revolution.
 
-    In the air the boxes are the three smallest. On a table they are upright and reach down to it: the smallest, the
-    second smallest, and the smallest without what stands on its top (the cap of a bottle).
+    In the air the boxes are the two smallest. On a table they are upright and reach down to it: the smallest, and the
+    same without what stands on its top (the cap of a bottle).
 
     Args:
         points: In the frame of the fit, about one unit across.
@@ -81,26 +87,26 @@ def starts(points: FloatArray, table: float | None) -> Solids:
     """
     Rs = _UPRIGHT if table is not None else _principal(points) @ _SPREAD
     low, high = _extents(Rs.transpose(0, 2, 1) @ points.T)
-    best = np.argsort(np.prod((high - low)[:, :2] if table is not None else high - low, axis=1), kind="stable")[:3]
+    best = np.argsort(np.prod((high - low)[:, :2] if table is not None else high - low, axis=1), kind="stable")[:2]
     if table is not None:
-        best[2] = best[0]
+        best[1] = best[0]
     Rs, low, high = Rs[best], low[best], high[best]
     if table is not None:
-        high[2, 2] = np.quantile(points[:, 2], _SHOULDER)
+        high[1, 2] = np.quantile(points[:, 2], _SHOULDER)
         low[:, 2] = np.minimum(table, high[:, 2] - 0.02)
     center = (Rs @ ((low + high) / 2)[..., None])[..., 0]
     half = np.maximum((high - low) / 2, 0.02)
-    vector = np.zeros((3, 3, 8))
+    vector = np.zeros((2, 3, 8))
     vector[:, :, :3] = center[:, None]
     vector[:, :, 3:6] = np.log(half[:, _AXIS_ORDERS])
     vector[:, :, 6:] = _START_EXPONENTS
     turned = np.stack([Rs[:, :, order] for order in _AXIS_ORDERS], axis=1)
-    return Solids(turned.reshape(9, 3, 3), vector.reshape(9, 8))
+    return Solids(turned.reshape(6, 3, 3), vector.reshape(6, 8))
 
 
 def _principal(points: FloatArray) -> FloatArray:
     """Principal axes (3, 3) of the points, right-handed."""
-    _, axes = np.linalg.eigh(np.cov(points.T))
+    _, axes = np.linalg.eigh(_covariance(points))
     return axes * np.array([1.0, 1.0, np.sign(np.linalg.det(axes))])
 
 
