@@ -57,7 +57,8 @@ def test_taught_colours_are_found_and_the_untaught_is_not(make, painter, teacher
 
 
 def test_a_linear_head_serves_as_well(make, painter, teacher):
-    segmenter = make(head=lambda: Linear(epochs=30, learning_rate=0.01), lowest_score=-5.0)
+    segmenter = make(head=lambda: Linear(epochs=30, learning_rate=0.01))
+    segmenter.lowest_score = -5.0  # log odds have a scale of their own
     teach(segmenter, teacher(COLOURS))
     truth = [[i for i in instances if i.label != "yellow"] for _, instances in scenes(painter)]
     assert evaluate_instances(truth, [segmenter.segment(f) for f, _ in scenes(painter)], COLOURS).map50_segm > 0.9
@@ -108,7 +109,7 @@ def test_same_frames_and_seed_give_the_same_result(make, painter, teacher):
 
 
 def test_one_instance_is_enough_to_be_found_again(make, painter, teacher):
-    segmenter = make(composites=2)
+    segmenter = make()
     teach(segmenter, [*teacher(["red"]), painter([("blue", 60, 50, 16)])])
     best = max(segmenter.segment(painter([("blue", 80, 40, 17)], seed=5)[0]), key=lambda i: i.score)
     assert best.label == "blue"

@@ -17,8 +17,12 @@ from numpy.typing import NDArray
 from icub_core.errors import DataError
 
 DEFAULT_FOLDER = Path(__file__).with_name("assets") / "clutter"
+LOOK_ALIKES = 0.6
+"""Share of the strangers that take on the taught object's colours: colour alone must not decide."""
 REMEMBERED = 12
 """Cut-outs kept of each taught object, to be pasted beside others."""
+SIDE_SHARES, STRANGERS_SIDE_SHARES = (0.12, 0.75), (0.1, 0.4)
+"""Longest side of a pasted cut-out over the picture's height."""
 SMALLEST_SIDE = 14
 """A cut-out is not shrunk below this many pixels."""
 VISIBLE_SHARE = 0.5
@@ -98,7 +102,7 @@ class Compositor:
             known[int(rng.integers(REMEMBERED))] = cutout
 
     def compose(self, cutout: Cutout, size: tuple[int, int], rng: np.random.Generator) -> Composite:
-        """Paste `cutout`, up to two other remembered objects and up to two strangers into a picture (height, width)."""
+        """Paste `cutout`, up to two other remembered objects and some strangers into a picture of (height, width)."""
         height, width = size
         background = np.asarray(
             cv2.resize(self.pictures[int(rng.integers(len(self.pictures)))], (width, height)), np.uint8
@@ -109,7 +113,9 @@ class Compositor:
         for label in rng.permutation(others)[: int(rng.integers(0, 3))]:
             drawn.append(self.remembered[label][int(rng.integers(len(self.remembered[label])))])
         if self.strangers:
-            drawn += [self.strangers[i] for i in rng.integers(0, len(self.strangers), int(rng.integers(0, 3)))]
+            for i in rng.integers(0, len(self.strangers), int(rng.integers(1, 4))):
+                stranger = self.strangers[i]
+                drawn.append(in_colours_of(cutout, stranger, rng) if rng.random() < LOOK_ALIKES else stranger)
         labels: list[str] = []
         seen: list[NDArray[np.bool_]] = []
         areas: list[int] = []
@@ -140,14 +146,37 @@ def relit(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]
     return np.clip(rgb.astype(np.float32) * gain + shift, 0, 255).astype(np.uint8)
 
 
+def in_colours_of(model: Cutout, stranger: Cutout, rng: np.random.Generator) -> Cutout:
+    """Repaint a stranger: its dark and bright parts take colours of two random pixels of the model."""
+    palette = model.rgb[model.mask]
+    dark, bright = palette[rng.integers(0, len(palette), 2)].astype(np.float32)
+    grey = stranger.rgb.astype(np.float32).mean(axis=2)
+    low, high = np.percentile(grey[stranger.mask], [5, 95])
+    share = np.clip((grey - low) / max(high - low, 1.0), 0, 1)[:, :, None]
+    if rng.random() < 0.5:  # one colour, with the stranger's own light and shade
+        painted = bright * (0.6 + 0.6 * share)
+    else:
+        painted = dark + (bright - dark) * share
+    return Cutout(stranger.label, np.clip(painted, 0, 255).astype(np.uint8), stranger.mask)
+
+
+def shaded(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Darken a picture towards one side, as a lamp on the other side would."""
+    height, width = rgb.shape[:2]
+    angle, strength = rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.5)
+    x, y = np.linspace(-1, 1, width), np.linspace(-1, 1, height)[:, None]
+    light = 1 + strength * (np.cos(angle) * x + np.sin(angle) * y)
+    return np.clip(rgb * light[:, :, None], 0, 255).astype(np.uint8)
+
+
 def transformed(cutout: Cutout, size: tuple[int, int], rng: np.random.Generator) -> Cutout:
     """Turn, resize, mirror no side, and re-light a cut-out for a picture of (height, width)."""
     h, w = cutout.mask.shape
-    longest = max(rng.uniform(0.12, 0.5) * size[0], SMALLEST_SIDE)
+    longest = max(rng.uniform(*(SIDE_SHARES if cutout.label else STRANGERS_SIDE_SHARES)) * size[0], SMALLEST_SIDE)
     scale = longest / max(h, w)
     flags = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     w, h = max(round(scale * w), 2), max(round(scale * h), 2)
-    rgb = cv2.resize(relit(cutout.rgb, rng), (w, h), interpolation=flags)
+    rgb = cv2.resize(shaded(relit(cutout.rgb, rng), rng), (w, h), interpolation=flags)
     mask = cv2.resize(cutout.mask.astype(np.float32), (w, h), interpolation=flags)
     matrix = cv2.getRotationMatrix2D((w / 2, h / 2), float(rng.uniform(-40, 40)), 1.0)
     new_w, new_h = (int(np.ceil(v)) for v in np.abs(matrix[:, :2]) @ np.array([w, h]))

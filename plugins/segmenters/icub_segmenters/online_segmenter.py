@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ from safetensors.torch import save_file
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import CheckpointError, ConfigError, DataError, NotFittedError, unknown_name
 from icub_core.files import write_atomically
-from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
+from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures, RpnCells
 from icub_core.interfaces.online_head import OnlineHead
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 from icub_segmenters.clutter import Compositor, Cutout
@@ -24,6 +26,7 @@ from icub_segmenters.detection import Detections, OnlineDetector
 from icub_segmenters.mask_geometry import boxes_of_masks, paste_masks
 from icub_segmenters.masks import OnlineMasks, PretrainedMasks
 from icub_segmenters.minibootstrap import Minibootstrap
+from icub_segmenters.online_rpn import OnlineRpn
 from icub_segmenters.region_store import RegionStore
 from icub_segmenters.regions import describe
 from icub_segmenters.sampling import thin_out
@@ -31,9 +34,12 @@ from icub_segmenters.sampling import thin_out
 log = logging.getLogger(__name__)
 
 MODES = ("shared", "faithful")
-MASKS = ("online", "pretrained")
+PROPOSALS = ("pretrained", "online")
+MASKS = ("combined", "online", "pretrained")
 FORMAT = 1
 FILE = "segmenter.safetensors"
+LOWEST_SCORE = -0.7
+"""Instances that score less are not reported: between this and the targets of negatives, -1, all is noise."""
 SURPLUS = 1.5
 """Negatives in the store may outgrow the budget by this factor before old images are thinned out."""
 SMALLEST_MASK = 20
@@ -62,9 +68,9 @@ class OnlineSegmenter(Segmenter):
         batches: int = 10,
         batch_size: int = 2000,
         composites: int = 1,
-        masks: str = "online",
-        repool: bool = True,
-        lowest_score: float = -0.7,
+        masks: str = "combined",
+        repool: bool = False,
+        proposals: str = "pretrained",
         seed: int = 0,
     ) -> None:
         """Configure; nothing is computed.
@@ -77,24 +83,31 @@ class OnlineSegmenter(Segmenter):
             batches: Batches of negatives (n_B).
             batch_size: Negatives in a batch (BS).
             composites: Pictures with pasted clutter made of every observed instance; 0 for none.
-            masks: ``"online"``: classifiers a class; ``"pretrained"``: the extractor's own class-agnostic masks.
+            masks: ``"online"``: a classifier a class; ``"pretrained"``: the extractor's own class-agnostic masks;
+                ``"combined"``: the mean of both where the extractor has a mask branch, else ``"online"``.
             repool: Look a second time at refined boxes.
-            lowest_score: Instances that score less are not reported.
+            proposals: ``"pretrained"``: the extractor's own regions; ``"online"``: regions of a region proposal
+                network trained here, on the cells that the extractor offers.
             seed: Decides everything random.
         """
         for what, value, known in (("mode", mode, MODES), ("kind of masks", masks, MASKS)):
             if value not in known:
                 raise ConfigError(unknown_name(what, value, known))
+        if proposals not in PROPOSALS:
+            raise ConfigError(unknown_name("kind of proposals", proposals, PROPOSALS))
         if composites < 0:
             raise ConfigError(f"composites is {composites}; expected 0 or more")
-        if masks == "pretrained" and not isinstance(feature_extractor, PretrainedMasks):
+        has_masks = isinstance(feature_extractor, PretrainedMasks)
+        if masks == "pretrained" and not has_masks:
             raise ConfigError("masks='pretrained' needs a feature extractor with a mask branch; use masks='online'")
         self.extractor = feature_extractor
         self.procedure = Minibootstrap(batches, batch_size)
-        self.composites, self.lowest_score, self.seed = composites, lowest_score, seed
-        self.pretrained_masks = masks == "pretrained"
+        self.composites, self.seed = composites, seed
+        self.lowest_score = LOWEST_SCORE
+        self.asks_online, self.asks_pretrained = masks != "pretrained", masks != "online" and has_masks
         self.detector = OnlineDetector(online_head, self.procedure, shared=mode == "shared", repool=repool)
         self.masks = OnlineMasks(online_head)
+        self.rpn = OnlineRpn(online_head, self.procedure) if proposals == "online" else None
         self.store = RegionStore(feature_extractor.region_dim)
         self._labels: list[str] = []  # numbered in the order in which they were first seen
         self._trained: tuple[str, ...] = ()
@@ -144,16 +157,20 @@ class OnlineSegmenter(Segmenter):
             raise NotFittedError("there is nothing to learn: observe at least one frame with an instance first")
         # a function of what was observed and of nothing else, so that updates in between change nothing
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self._observed)
-        self.detector.train(self.store, len(self._labels), generator)
-        middle = time.perf_counter()
-        if not self.pretrained_masks:
-            self.masks.train(self.seed)
-        end = time.perf_counter()
+        parts: dict[str, float] = {}
+        with _timed(parts, "detection"):
+            self.detector.train(self.store, len(self._labels), generator)
+        if self.asks_online:
+            with _timed(parts, "masks"):
+                self.masks.train(self.seed)
+        if self.rpn is not None:
+            with _timed(parts, "rpn"):
+                self.rpn.train(generator)
         self._trained = tuple(self._labels)
         counts = torch.bincount(self.store.label[self.store.label >= 0], minlength=len(self._labels)).tolist()
         return UpdateReport(
-            seconds=end - start,
-            parts={"detection": middle - start, "masks": end - middle},
+            seconds=time.perf_counter() - start,
+            parts=parts,
             classes=self._trained,
             samples=dict(zip(self._trained, counts, strict=True)),
         )
@@ -163,7 +180,7 @@ class OnlineSegmenter(Segmenter):
         if not self._trained:
             raise NotFittedError("nothing was taught yet: call observe for every frame, then update")
         with torch.no_grad():
-            image = self.extractor.extract(frame.rgb)
+            image = self._proposed(self.extractor.extract(frame.rgb))
             found = self.detector.detect(self.extractor, image, self.lowest_score)
             masks = paste_masks(self._mask_values(image, found), found.boxes, image.image_size)
             large = torch.nonzero(masks.flatten(1).sum(dim=1) >= SMALLEST_MASK).flatten()
@@ -182,6 +199,8 @@ class OnlineSegmenter(Segmenter):
             raise NotFittedError("nothing was taught yet: there is nothing to save")
         tensors = {f"detector.{k}": v for k, v in self.detector.state_dict().items()}
         tensors |= {f"masks.{k}": v for k, v in self.masks.state_dict().items()}
+        if self.rpn is not None:
+            tensors |= {f"rpn.{k}": v for k, v in self.rpn.state_dict().items()}
         tensors |= {f"store.{k}": v for k, v in self.store.state_dict().items()}
         tensors = {name: tensor.contiguous() for name, tensor in tensors.items()}
         about = {
@@ -211,7 +230,7 @@ class OnlineSegmenter(Segmenter):
             raise CheckpointError(f"{path} has format, region and mask dimensions {dims}; expected {expected}")
         parts = {
             part: {name[len(part) + 1 :]: t for name, t in tensors.items() if name.startswith(f"{part}.")}
-            for part in ("detector", "masks", "store")
+            for part in ("detector", "masks", "store", "rpn")
         }
         detector = OnlineDetector(
             self.detector.make_head, self.procedure, shared=self.detector.shared, repool=self.detector.repool
@@ -220,6 +239,10 @@ class OnlineSegmenter(Segmenter):
         detector.load_state_dict(parts["detector"])
         masks.load_state_dict(parts["masks"])
         store.load_state_dict(parts["store"])
+        if self.rpn is not None:
+            rpn = OnlineRpn(self.rpn.make_head, self.procedure, self.rpn.proposals)
+            rpn.load_state_dict(parts["rpn"])
+            self.rpn = rpn
         self.detector, self.masks, self.store = detector, masks, store
         self._labels, self._trained, self._observed = labels, tuple(labels[:trained]), observed
 
@@ -233,18 +256,43 @@ class OnlineSegmenter(Segmenter):
             boxes = boxes_of_masks(masks.bool(), torch.zeros(len(instances), 4))
             numbers = torch.tensor([self._number(label) for label, _ in instances], dtype=torch.int64)
             self.store.append(describe(self.extractor, image, boxes, numbers, generator))
-            if not self.pretrained_masks:
+            if self.rpn is not None:
+                self.rpn.observe(self._cells(image), boxes, image.image_size, generator)
+            if self.asks_online:
                 self.masks.observe(self.extractor, image, boxes, masks, numbers, generator)
         if int((self.store.near < 0).sum()) > SURPLUS * self.procedure.budget:
             thin_out(self.store, self.procedure.budget, generator)
 
+    def _proposed(self, image: ImageFeatures) -> ImageFeatures:
+        """Replace the proposals of an image by those of the on-line network, if there is one."""
+        if self.rpn is None:
+            return image
+        boxes, scores = self.rpn.propose(self._cells(image), image.image_size)
+        return replace(image, proposals=boxes, scores=scores)
+
+    def _cells(self, image: ImageFeatures) -> RpnCells:
+        cells = self.extractor.rpn_cells(image)
+        if cells is None:
+            raise ConfigError("proposals='online' needs a feature extractor with a region proposal network")
+        return cells
+
     def _mask_values(self, image: ImageFeatures, found: Detections) -> torch.Tensor:
-        if self.pretrained_masks:
+        values = []
+        if self.asks_online:
+            values.append(self.masks.predict(self.extractor, image, found.boxes, found.labels))
+        if self.asks_pretrained:
             assert isinstance(self.extractor, PretrainedMasks)
-            return self.extractor.mask_probabilities(image, found.boxes).float().cpu()
-        return self.masks.predict(self.extractor, image, found.boxes, found.labels)
+            values.append(self.extractor.mask_probabilities(image, found.boxes).float().cpu())
+        return torch.stack(values).mean(dim=0)
 
     def _number(self, label: str) -> int:
         if label not in self._labels:
             self._labels.append(label)
         return self._labels.index(label)
+
+
+@contextlib.contextmanager
+def _timed(parts: dict[str, float], part: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    parts[part] = time.perf_counter() - start

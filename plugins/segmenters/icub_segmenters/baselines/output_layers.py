@@ -1,0 +1,195 @@
+"""Mask R-CNN whose output layers alone are fine-tuned by gradient descent (thesis 10.4, table 11.1 and appendix B)."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import nn
+from torch.nn import functional
+from torchvision.ops import batched_nms
+
+from icub_core.data import Instance, RgbdFrame
+from icub_core.errors import CheckpointError, ConfigError, NotFittedError
+from icub_core.files import write_atomically
+from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
+from icub_core.interfaces.segmenter import Segmenter, UpdateReport
+from icub_segmenters.boxes import decode, encode
+from icub_segmenters.mask_geometry import boxes_of_masks, crop_masks, paste_masks
+from icub_segmenters.regions import assign
+from icub_segmenters.sampling import sample
+
+FILE = "output_layers.safetensors"
+REGIONS, POSITIVE_SHARE = 64, 0.25
+"""Regions a step learns from, as in Mask R-CNN."""
+LOWEST_SCORE, NMS_IOU, MOST_DETECTIONS = 0.05, 0.5, 100
+SMALLEST_MASK = 20
+
+
+class _OutputLayers(nn.Module):
+    """Class scores, one box refinement a class, one mask logit a class."""
+
+    def __init__(self, region_dim: int, mask_dim: int, classes: int) -> None:
+        super().__init__()
+        self.scores = nn.Linear(region_dim, classes + 1)  # background first
+        self.boxes = nn.Linear(region_dim, 4 * classes)
+        self.masks = nn.Linear(mask_dim, classes)
+        for layer in (self.scores, self.boxes, self.masks):
+            nn.init.normal_(layer.weight, std=0.01)
+            nn.init.zeros_(layer.bias)
+
+
+class OutputLayers(Segmenter):
+    """The rival by back-propagation: backbone, region proposals and feature layers frozen, output layers trained anew.
+
+    Frames are kept and visited again in every epoch, each a step of its own. Adam is used where the thesis uses SGD:
+    it needs fewer epochs here and so makes the rival stronger. With `store_features` the frozen part runs once a
+    frame, while frames arrive (thesis table 11.9, "store features"); with one epoch and `shuffle` off this is learning
+    from the stream as it comes.
+    """
+
+    def __init__(
+        self,
+        feature_extractor: FeatureExtractor,
+        epochs: int = 8,
+        learning_rate: float = 1e-3,
+        weight_decay: float = 1e-4,
+        store_features: bool = False,
+        shuffle: bool = True,
+        seed: int = 0,
+    ) -> None:
+        """Configure; nothing is computed.
+
+        Args:
+            feature_extractor: Proposes and describes regions; stays as it is.
+            epochs: Passes over the frames (the thesis: 8 on YCB-Video, 6 on HO-3D).
+            learning_rate: Of Adam, falling to 0 along a cosine.
+            weight_decay: Decoupled.
+            store_features: Compute features once and keep them.
+            shuffle: Visit frames in random order.
+            seed: Decides order, sampled regions and first weights.
+        """
+        if epochs < 1:
+            raise ConfigError(f"epochs is {epochs}; expected at least 1")
+        self.extractor = feature_extractor
+        self.epochs, self.learning_rate, self.weight_decay = epochs, learning_rate, weight_decay
+        self.store_features, self.shuffle, self.seed = store_features, shuffle, seed
+        self._frames: list[tuple[RgbdFrame, tuple[Instance, ...]]] = []
+        self._kept: list[ImageFeatures] = []
+        self._labels: list[str] = []
+        self._trained: tuple[str, ...] = ()
+        self._layers: _OutputLayers | None = None
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Classes known since the last `update`."""
+        return self._trained
+
+    def observe(self, frame: RgbdFrame, instances: Sequence[Instance]) -> None:
+        """Keep one annotated frame."""
+        self._frames.append((frame, tuple(instances)))
+        if self.store_features:
+            self._kept.append(self.extractor.extract(frame.rgb))
+        for instance in instances:
+            if instance.label not in self._labels:
+                self._labels.append(instance.label)
+
+    def update(self) -> UpdateReport:
+        """Train the output layers from the start on all frames kept."""
+        if not self._labels:
+            raise NotFittedError("there is nothing to learn: observe at least one frame with an instance first")
+        start = time.perf_counter()
+        generator = torch.Generator().manual_seed(self.seed)
+        with torch.random.fork_rng(devices=[]), torch.enable_grad():
+            torch.manual_seed(self.seed)
+            layers = _OutputLayers(self.extractor.region_dim, self.extractor.mask_dim, len(self._labels))
+            optimizer = torch.optim.AdamW(
+                layers.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay, fused=True
+            )
+            schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self.epochs * len(self._frames))
+            for _ in range(self.epochs):
+                order = torch.randperm(len(self._frames), generator=generator).tolist()
+                for number in order if self.shuffle else range(len(self._frames)):
+                    optimizer.zero_grad()
+                    self._loss(layers, number, generator).backward()
+                    optimizer.step()
+                    schedule.step()
+        self._layers, self._trained = layers.eval().requires_grad_(False), tuple(self._labels)
+        counts = {c: sum(i.label == c for _, instances in self._frames for i in instances) for c in self._trained}
+        seconds = time.perf_counter() - start
+        return UpdateReport(seconds, {"output_layers": seconds}, self._trained, counts)
+
+    def segment(self, frame: RgbdFrame) -> tuple[Instance, ...]:
+        """Find the taught objects, best first; scores are probabilities."""
+        if self._layers is None:
+            raise NotFittedError("nothing was taught yet: call observe for every frame, then update")
+        with torch.no_grad():
+            image = self.extractor.extract(frame.rgb)
+            X = self.extractor.region_features(image, image.proposals)
+            scores = self._layers.scores(X).softmax(dim=1)[:, 1:]
+            rows, labels = torch.nonzero(scores > LOWEST_SCORE, as_tuple=True)
+            deltas = self._layers.boxes(X[rows]).view(len(rows), -1, 4)[torch.arange(len(rows)), labels]
+            boxes, score = decode(image.proposals[rows], deltas, image.image_size), scores[rows, labels]
+            kept = batched_nms(boxes, score, labels, NMS_IOU)[:MOST_DETECTIONS]
+            boxes, labels, score = boxes[kept], labels[kept], score[kept]
+            logits = self._layers.masks(self.extractor.mask_features(image, boxes))
+            values = logits[torch.arange(len(boxes)), :, :, labels].sigmoid()
+            masks = paste_masks(values, boxes, image.image_size)
+            boxes = boxes_of_masks(masks, boxes)
+        return tuple(
+            Instance(self._trained[label], s, box.double().numpy(), mask.numpy())
+            for label, s, box, mask in zip(labels.tolist(), score.tolist(), boxes, masks, strict=True)
+            if int(mask.sum()) >= SMALLEST_MASK
+        )
+
+    def save(self, path: Path) -> None:
+        """Write the output layers to the folder `path`; the frames are not part of it."""
+        if self._layers is None:
+            raise NotFittedError("nothing was taught yet: there is nothing to save")
+        state = {name: tensor.contiguous() for name, tensor in self._layers.state_dict().items()}
+        metadata = {"labels": json.dumps(self._trained)}
+        write_atomically(path / FILE, lambda file: save_file(state, file, metadata))
+
+    def load(self, path: Path) -> None:
+        """Read what `save` wrote; CheckpointError for anything else, and the segmenter stays as it was."""
+        try:
+            with safe_open(path / FILE, framework="pt") as file:
+                labels = list(json.loads((file.metadata() or {})["labels"]))
+                state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            layers = _OutputLayers(self.extractor.region_dim, self.extractor.mask_dim, len(labels))
+            layers.load_state_dict(state)
+        except (OSError, ValueError, KeyError, TypeError, RuntimeError, SafetensorError) as error:
+            raise CheckpointError(f"{path} holds no output layers of this network: {error}") from error
+        self._layers = layers.eval().requires_grad_(False)
+        self._labels, self._trained, self._frames, self._kept = labels, tuple(labels), [], []
+
+    def _loss(self, layers: _OutputLayers, number: int, generator: torch.Generator) -> torch.Tensor:
+        """Classification, box and mask loss of one frame."""
+        frame, instances = self._frames[number]
+        image = self._kept[number] if self.store_features else self.extractor.extract(frame.rgb)
+        truth = torch.tensor([i.box for i in instances], dtype=torch.float32).reshape(-1, 4)
+        numbers = torch.tensor([self._labels.index(i.label) for i in instances], dtype=torch.int64)
+        boxes = torch.cat([truth, image.proposals])
+        label, near, targets = assign(boxes, truth, numbers)
+        positive = sample(torch.nonzero(label >= 0).flatten(), round(POSITIVE_SHARE * REGIONS), generator)
+        negative = sample(torch.nonzero(near < 0).flatten(), REGIONS - len(positive), generator)
+        chosen = torch.cat([positive, negative])
+        X = self.extractor.region_features(image, boxes[chosen])
+        loss = functional.cross_entropy(layers.scores(X), label[chosen] + 1)
+        if len(positive) == 0:
+            return loss
+        own = label[positive]
+        rows = torch.arange(len(positive))
+        deltas = layers.boxes(X[: len(positive)]).view(len(positive), -1, 4)[rows, own]
+        loss = loss + functional.smooth_l1_loss(deltas, encode(boxes[positive], targets[positive]), beta=1 / 9)
+        # the mask of the true box that each positive overlaps most
+        best = torch.cdist(targets[positive], truth).argmin(dim=1)
+        masks = torch.stack([torch.from_numpy(i.mask) for i in instances])[best]
+        inside = crop_masks(masks, boxes[positive], self.extractor.mask_size).round()
+        logits = layers.masks(self.extractor.mask_features(image, boxes[positive]))[rows, :, :, own]
+        return loss + functional.binary_cross_entropy_with_logits(logits, inside)
