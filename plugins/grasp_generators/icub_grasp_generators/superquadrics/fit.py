@@ -55,6 +55,7 @@ _SECOND = tuple(_Step(sigma, 0.5) for sigma in (0.02, 0.02))
 # ambiguity; with less of it edges settle nearer to their last points.
 _LAST = (_Step(0.015, 0.5),) * 10 + (_Step(0.015, 0.2),) * 2
 _OUTLIER_AT = 3.0  # distance, in sigmas, at which inlier and outlier are equally likely
+_ONE_SIDED = 0.4  # length of the mean visible normal above which a cloud is a single view
 _AVERTED = 0.2  # of a normal against the mean of the visible normals
 _TABLE_WEIGHT = 0.3  # of the number of points
 _CONVERGED = 3e-3  # step, in units of the object's size and radians
@@ -180,8 +181,10 @@ def _descend(
     for kind in steps:
         if kind is converged:
             continue
-        view = terms.view(w)
-        seen = view if estimate else nowhere
+        # a side that was wrongly taken to look away must be able to come back: its points count for the view
+        view = terms.view(terms.mixture(sigma, nowhere)[0] if estimate else w)
+        one_sided = estimate and float(view[0] @ view[0]) > _ONE_SIDED**2
+        seen = view if one_sided else nowhere
         if estimate:
             spread = _CAUTION * terms.deviation(w)
             sigma = np.maximum(np.minimum(spread, sigma), kind.sigma)
