@@ -30,6 +30,7 @@ def make(half, exponents, turn=(0.0, 0.0, 0.0), place=(0.0, 0.0, 0.0)) -> Superq
 
 
 @given(axes, st.tuples(*[st.floats(0.2, 1.3)] * 2), turns, places, st.integers(0, 99))
+@settings(deadline=None)
 def test_gauge_is_the_textbook_inside_outside_function(half, exponents, turn, place, seed):
     solid = make(half, exponents, turn, place)
     points = np.random.default_rng(seed).uniform(-0.4, 0.4, (50, 3)) + np.array(place)
@@ -40,6 +41,7 @@ def test_gauge_is_the_textbook_inside_outside_function(half, exponents, turn, pl
 
 
 @given(axes, powers, turns, places)
+@settings(deadline=None)
 def test_surface_points_have_gauge_one_and_no_distance(half, exponents, turn, place):
     solid = make(half, exponents, turn, place)
     points = solid.surface(200)
@@ -57,7 +59,7 @@ def test_distance_in_front_of_a_flat_face_is_euclidean():
 
 
 @given(axes, powers, turns, places, st.integers(0, 99))
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 def test_support_function_bounds_the_surface_and_is_reached(half, exponents, turn, place, seed):
     solid = make(half, exponents, turn, place)
     direction = np.random.default_rng(seed).normal(size=3)
@@ -104,7 +106,7 @@ inner_powers = st.tuples(*[st.floats(0.15, 1.25)] * 2)
 
 
 @given(axes, inner_powers, turns, places, st.integers(0, 99))
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 def test_jacobians_agree_with_finite_differences(half, exponents, turn, place, seed):
     solids = solids_of(half, exponents, turn, place)
     rng = np.random.default_rng(seed)
@@ -127,7 +129,7 @@ def log_outline(solids: Solids, view: np.ndarray) -> float:
 
 
 @given(axes, inner_powers, turns)
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 def test_outline_agrees_with_its_area_and_with_finite_differences(half, exponents, turn):
     solids = solids_of(half, exponents, turn, (0.0, 0.0, 0.0))
     view = rotation_exp(turn) @ np.array([0.5, -0.4, 0.75])  # away from the kinks at the faces' edges
@@ -146,6 +148,7 @@ def test_viewer_of_a_box_follows_from_its_mean_visible_normal():
 
 
 @given(turns)
+@settings(deadline=None)
 def test_small_steps_turn_as_the_exponential_map(turn):
     w = 0.05 * np.array(turn)
     R = rotations(w[None])[0]
