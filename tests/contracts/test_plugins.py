@@ -12,10 +12,10 @@ from icub_core.testing.company import with_tiny_company
 
 TESTS = Path(__file__).resolve().parents[1]
 WITH_THEIR_DATA = {
-    "feature_extractor": "feature_extractors/test_contracts.py",
+    "feature_extractor": "feature_extractors",
     "simulator": "simulators",
     "objects": "simulators/test_objects.py",
-    "dataset": "datasets/test_contracts.py",
+    "dataset": ".",
 }
 """Kinds whose plugins need weights, an engine or files: their own tests run the contract."""
 
@@ -42,8 +42,9 @@ def test_contract(plugin, check):
 @pytest.mark.parametrize("plugin", [p for p in _own() if p.kind in WITH_THEIR_DATA], ids=lambda p: f"{p.kind}-{p.name}")
 def test_the_contract_is_run_elsewhere(plugin):
     place = TESTS / WITH_THEIR_DATA[plugin.kind]
-    files = [place] if place.is_file() else sorted(place.glob("*.py"))
-    text = "\n".join(file.read_text(encoding="utf-8") for file in files)
+    files = [place] if place.is_file() else sorted(place.rglob("test_*.py"))
+    texts = [file.read_text(encoding="utf-8") for file in files]
+    text = "\n".join(text for text in texts if "icub_core.testing.c" in text)
     assert "icub_core.testing.c" in text, "neither the checks nor the contract classes are imported there"
     assert plugin.target.partition(":")[2] in text, f"{plugin.target} is not named in {place}"
 

@@ -6,6 +6,7 @@ import torch
 from torch.nn import functional
 
 from icub_core.errors import WeightsError
+from icub_core.testing.contracts import FeatureExtractorContract
 from icub_segmenters.feature_extractors.dinov2 import DinoV2, load_transformer
 
 DIM, DEPTH, SIDE = 128, 2, 5
@@ -71,7 +72,15 @@ def test_the_transformer_computes_what_the_checkpoint_means(tmp_path, registers)
         assert model(torch.randn(1, 3, 42, 70)).shape == (1, DIM, 3, 5)
 
 
-def test_the_extractor_keeps_the_contract(tmp_path):
+@pytest.mark.slow
+class TestDinoV2(FeatureExtractorContract):
+    @pytest.fixture
+    def make_plugin(self, tmp_path):
+        torch.save(hub_layout(), tmp_path / "vit.pth")
+        return lambda: DinoV2(str(tmp_path / "vit.pth"), image_size=[112, 140], proposals=30)
+
+
+def test_the_extractor_describes_regions(tmp_path):
     torch.set_num_threads(1)
     torch.save(hub_layout(), tmp_path / "vit.pth")
     extractor = DinoV2(str(tmp_path / "vit.pth"), image_size=[112, 140], proposals=30)
