@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from icub_core import registry
@@ -13,7 +11,6 @@ from icub_core.grasping.task import GraspTask
 from icub_core.scene import Scene
 from icub_policies.demonstrations import Demonstrations
 from icub_policies.gpayn import Gpayn
-from icub_policies.resprect import Resprect
 
 pytestmark = pytest.mark.slow
 
@@ -34,11 +31,3 @@ def test_demonstrations_and_base_policy_grasp_what_they_should(name):
     env = worlds(name)
     assert evaluate(Demonstrations(), env, 16, seed=11).success_rate >= 0.8
     assert evaluate(Gpayn(weights="base_gpayn"), env, 16, seed=11).success_rate >= 0.6
-
-
-@pytest.mark.timeout(1200)
-def test_resprect_improves_on_its_base_where_the_base_is_weak(tmp_path: Path):
-    env = worlds("003_cracker_box")
-    policy = Resprect(seconds=None, env_steps=20_000)
-    report = policy.learn(env, tmp_path, lambda share, text: None)
-    assert report.metrics["best_success"] > report.metrics["first_success"]
