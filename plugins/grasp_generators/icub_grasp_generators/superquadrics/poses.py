@@ -16,11 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from icub_core.geometry import FloatArray, rotation_about
 from icub_core.scene import Table
 from icub_grasp_generators.hand_geometry import Spheres
+from icub_grasp_generators.reach import clears_table
 from icub_grasp_generators.superquadrics.shape import Superquadric
 
 MAX_WIDTH = 0.075
@@ -38,7 +38,6 @@ _ROLLS = np.radians([-45.0, -29.0, 0.0, 29.0, 46.0, 63.0, 77.0, 90.0])
 _DIPS = np.radians([0.0, -15.0, -30.0])
 _SHIFTS = np.array([-0.04, -0.02, 0.0, 0.02, 0.04])  # along y
 
-_TABLE_CLEARANCE = 0.004
 _PENETRATION = 0.003  # of the open hand into the solid: contact moves a finger that much without harm
 _FINGER_Y = np.array([-0.036, -0.008, 0.020, 0.036])  # where index, middle, ring and little finger close
 _FINGER_Z = 0.034
@@ -83,16 +82,6 @@ def family(shape: Superquadric) -> FloatArray:
         - (reach + PALM_GAP + _PALM_Z)[:, None, None] * R[:, None, :, 2]
     )
     return T.reshape(-1, 4, 4)
-
-
-def clears_table(points: FloatArray, radii: FloatArray, table: Table | None) -> NDArray[np.bool_]:
-    """Say for sphere centres (..., K, 3) of `radii` (K,) whether all stay out of the table: (...) bool."""
-    if table is None:
-        return np.ones(points.shape[:-2], dtype=bool)
-    center, half = np.asarray(table.center), np.asarray(table.half_size)
-    above = points[..., 2] - radii > table.top + _TABLE_CLEARANCE
-    beside = np.any(np.abs(points[..., :2] - center[:2]) > half[:2] + radii[:, None] + _TABLE_CLEARANCE, axis=-1)
-    return np.all(above | beside, axis=-1)
 
 
 def evaluate(shape: Superquadric, T: FloatArray, hand: Spheres, table: Table | None) -> tuple[Candidates, str]:

@@ -1,19 +1,13 @@
-"""From a raw cloud to starts of the fit: checks, thinning, oriented boxes."""
+"""From a cloud to starts of the fit: oriented boxes."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.errors import DataError
 from icub_core.geometry import FloatArray, quat_wxyz_to_matrix, rotation_about
+from icub_grasp_generators.clouds import check_cloud, covariance, thin, trimmed_extents
 from icub_grasp_generators.superquadrics.residuals import Solids
-
-MIN_POINTS = 20
-MAX_EXTENT = 1.0
-"""Metres. A larger cloud is a wall or a wrong unit, not something to take into a hand."""
-MIN_EXTENT = 1e-3
-_LINE = 0.02  # ratio of the second to the first principal deviation below which the points are a line
 
 FIT_POINTS = 500
 _TRIM = 0.06  # share cut off at both ends of an extent: outliers must not span the box
@@ -25,48 +19,14 @@ _FREE = 96
 
 
 def usable_sample(points: NDArray[np.floating]) -> FloatArray:
-    """Return at most 500 of the points (N, 3), always the same ones.
-
-    Raises:
-        DataError: One line, unless the points are finite and a surface of the size of a graspable object.
-    """
-    if len(points) < MIN_POINTS:
-        raise DataError(f"the cloud has {len(points)} points; a superquadric needs at least {MIN_POINTS}")
-    if not np.isfinite(points).all():
-        bad = int(np.sum(~np.isfinite(points).all(axis=1)))
-        raise DataError(f"{bad} of the cloud's {len(points)} points are not finite; drop them before planning")
-    sample = thin(points, FIT_POINTS)
-    low, high = _extents(sample.T)
-    extent = float(np.max(high - low))
-    if extent > MAX_EXTENT:
-        raise DataError(f"the cloud extends over {extent:.3g} m; expected one object of at most {MAX_EXTENT} m")
-    deviation = np.sqrt(np.maximum(np.linalg.eigvalsh(_covariance(sample)), 0.0))
-    if deviation[2] < MIN_EXTENT:
-        raise DataError(f"all points of the cloud lie within {deviation[2] * 1e3:.2g} mm; expected a surface")
-    if deviation[1] < _LINE * deviation[2]:
-        raise DataError("the points of the cloud lie on one line; expected a surface")
-    return sample
-
-
-def thin(points: NDArray[np.floating], count: int) -> FloatArray:
-    """Return a copy of at most `count` of the points (N, 3), drawn at random but always the same ones."""
-    if len(points) > count:
-        points = points[np.random.default_rng(0).integers(len(points), size=count)]
-    return np.array(points, dtype=np.float64)
-
-
-def _covariance(points: FloatArray) -> FloatArray:
-    """Covariance (3, 3) of points (N, 3); several times faster than `np.cov`."""
-    centred = points - points.mean(axis=0)
-    return centred.T @ centred / len(points)
+    """Return at most 500 of the points (N, 3), always the same ones; raises DataError as `check_cloud` does."""
+    check_cloud(points)
+    return thin(points, FIT_POINTS)
 
 
 def _extents(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return trimmed low and high (...) of coordinates (..., N)."""
-    count = rows.shape[-1]
-    cut = int(_TRIM * count)
-    part = np.partition(rows, (cut, count - 1 - cut), axis=-1)
-    return part[..., cut], part[..., count - 1 - cut]
+    return trimmed_extents(rows, _TRIM)
 
 
 def scale_of(points: FloatArray) -> tuple[FloatArray, float]:
@@ -106,7 +66,7 @@ def starts(points: FloatArray, table: float | None) -> Solids:
 
 def _principal(points: FloatArray) -> FloatArray:
     """Principal axes (3, 3) of the points, right-handed."""
-    _, axes = np.linalg.eigh(_covariance(points))
+    _, axes = np.linalg.eigh(covariance(points))
     return axes * np.array([1.0, 1.0, np.sign(np.linalg.det(axes))])
 
 

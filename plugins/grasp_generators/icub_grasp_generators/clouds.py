@@ -1,0 +1,62 @@
+"""Point clouds before anything is fitted to them: what is refused, thinning, extents."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from icub_core.errors import DataError
+from icub_core.geometry import FloatArray
+
+MIN_POINTS = 20
+MAX_EXTENT = 1.0
+"""Metres. A larger cloud is a wall or a wrong unit, not something to take into a hand."""
+MIN_EXTENT = 1e-3
+_LINE = 0.02  # ratio of the second to the first principal deviation below which the points are a line
+_OUTLIERS = 0.06  # share cut off at both ends of an extent: outliers must not span the box
+_CHECKED = 500  # points that extent and spread are judged by
+
+CLOUD_POINTS = 250
+"""Points that hands are tested against."""
+MAX_TOUCHED = 4
+"""Of them inside the open hand: sensor noise, not an obstacle."""
+
+
+def check_cloud(points: NDArray[np.floating]) -> None:
+    """Raise DataError, one line, unless points (N, 3) are finite and a surface of the size of a graspable object."""
+    if len(points) < MIN_POINTS:
+        raise DataError(f"the cloud has {len(points)} points; expected at least {MIN_POINTS} on the object's surface")
+    if not np.isfinite(points).all():
+        bad = int(np.sum(~np.isfinite(points).all(axis=1)))
+        raise DataError(f"{bad} of the cloud's {len(points)} points are not finite; drop them before planning")
+    sample = thin(points, _CHECKED)
+    low, high = trimmed_extents(sample.T, _OUTLIERS)
+    extent = float(np.max(high - low))
+    if extent > MAX_EXTENT:
+        raise DataError(f"the cloud extends over {extent:.3g} m; expected one object of at most {MAX_EXTENT} m")
+    deviation = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance(sample)), 0.0))
+    if deviation[2] < MIN_EXTENT:
+        raise DataError(f"all points of the cloud lie within {deviation[2] * 1e3:.2g} mm; expected a surface")
+    if deviation[1] < _LINE * deviation[2]:
+        raise DataError("the points of the cloud lie on one line; expected a surface")
+
+
+def thin(points: NDArray[np.floating], count: int) -> FloatArray:
+    """Return a copy of at most `count` of the points (N, 3), drawn at random but always the same ones."""
+    if len(points) > count:
+        points = points[np.random.default_rng(0).integers(len(points), size=count)]
+    return np.array(points, dtype=np.float64)
+
+
+def covariance(points: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of points (N, 3); several times faster than `np.cov`."""
+    centred = points - points.mean(axis=0)
+    return centred.T @ centred / len(points)
+
+
+def trimmed_extents(rows: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
+    """Return low and high (...) of coordinates (..., N) without `share` of them at either end."""
+    count = rows.shape[-1]
+    cut = int(share * count)
+    part = np.partition(rows, (cut, count - 1 - cut), axis=-1)
+    return part[..., cut], part[..., count - 1 - cut]
