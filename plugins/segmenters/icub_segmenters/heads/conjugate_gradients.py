@@ -11,7 +11,7 @@ import logging
 
 import torch
 
-from icub_segmenters.heads.kernels import Kernel
+from icub_segmenters.heads.kernels import Kernel, squares
 from icub_segmenters.heads.nystrom import cholesky_with_jitter, row_blocks
 
 log = logging.getLogger(__name__)
@@ -43,7 +43,7 @@ class _Rows:
         self, X: torch.Tensor, centers: torch.Tensor, kernel: Kernel, root_weight: torch.Tensor | None
     ) -> None:
         self.X, self.centers, self.kernel, self.root_weight = X, centers, kernel, root_weight
-        self.squares = (centers * centers).sum(dim=1)
+        self.squares = squares(centers)
         self.blocks = list(row_blocks(len(X), len(centers), centers.element_size()))
         fits = len(X) * len(centers) * centers.element_size() <= STORED_ROWS_BYTES
         self.stored = [self._compute(block) for block in self.blocks] if fits else None

@@ -9,7 +9,7 @@ from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.heads.centers import balanced_centers, check_selection, uniform_centers
 from icub_segmenters.heads.checks import check_samples, check_training_set
 from icub_segmenters.heads.conjugate_gradients import is_cheaper_than_direct, solve_by_conjugate_gradients
-from icub_segmenters.heads.kernels import make_kernel
+from icub_segmenters.heads.kernels import make_kernel, squares
 from icub_segmenters.heads.nystrom import NystromSystem, row_blocks
 from icub_segmenters.heads.products import fast_products
 
@@ -175,7 +175,7 @@ class Falkon(OnlineHead):
     def _set(self, centers: torch.Tensor, alpha: torch.Tensor, system: NystromSystem | None) -> None:
         # one memory layout for solved and for loaded coefficients: their scores agree to the last bit
         self.centers, self.alpha, self._system = centers.contiguous(), alpha.contiguous(), system
-        self._center_squares = (centers * centers).sum(dim=1)
+        self._center_squares = squares(centers)
 
     def _fitted(self) -> tuple[torch.Tensor, torch.Tensor]:
         if self.centers is None or self.alpha is None:

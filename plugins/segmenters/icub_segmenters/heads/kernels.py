@@ -13,22 +13,36 @@ class Kernel(ABC):
     """k(x, y) for all pairs of two sets of samples."""
 
     @abstractmethod
-    def __call__(self, X: torch.Tensor, Y: torch.Tensor, Y_squares: torch.Tensor | None = None) -> torch.Tensor:
+    def __call__(
+        self,
+        X: torch.Tensor,
+        Y: torch.Tensor,
+        Y_squares: torch.Tensor | None = None,
+        out: torch.Tensor | None = None,
+    ) -> torch.Tensor:
         """Return the (n, m) kernel matrix of X (n, d) and Y (m, d).
 
         Args:
             X: Samples.
             Y: Samples, usually the centres.
             Y_squares: (m,) squared norms of Y, when the caller has them.
+            out: (n, m) where to write it; fresh memory costs about as much as the exponential.
         """
 
 
-def squared_distances(X: torch.Tensor, Y: torch.Tensor, Y_squares: torch.Tensor | None = None) -> torch.Tensor:
+def squares(X: torch.Tensor) -> torch.Tensor:
+    """Return |x|^2 (n,) of X (n, d), without a temporary of X's size."""
+    return torch.linalg.vector_norm(X, dim=1).square_()
+
+
+def squared_distances(
+    X: torch.Tensor, Y: torch.Tensor, Y_squares: torch.Tensor | None = None, out: torch.Tensor | None = None
+) -> torch.Tensor:
     """Return |x - y|^2 (n, m), never negative; one product and two rank-one terms."""
     if Y_squares is None:
-        Y_squares = (Y * Y).sum(dim=1)
-    distances = torch.addmm(Y_squares, X, Y.T, alpha=-2.0)
-    distances += (X * X).sum(dim=1, keepdim=True)
+        Y_squares = squares(Y)
+    distances = torch.addmm(Y_squares, X, Y.T, alpha=-2.0, out=out)
+    distances += squares(X).unsqueeze(1)
     return distances.clamp_(min=0.0)
 
 
@@ -38,9 +52,15 @@ class Gaussian(Kernel):
     def __init__(self, sigma: float) -> None:
         self.sigma = sigma
 
-    def __call__(self, X: torch.Tensor, Y: torch.Tensor, Y_squares: torch.Tensor | None = None) -> torch.Tensor:
+    def __call__(
+        self,
+        X: torch.Tensor,
+        Y: torch.Tensor,
+        Y_squares: torch.Tensor | None = None,
+        out: torch.Tensor | None = None,
+    ) -> torch.Tensor:
         """Return the (n, m) kernel matrix."""
-        return squared_distances(X, Y, Y_squares).mul_(-0.5 / self.sigma**2).exp_()
+        return squared_distances(X, Y, Y_squares, out).mul_(-0.5 / self.sigma**2).exp_()
 
 
 class Laplacian(Kernel):
@@ -49,9 +69,15 @@ class Laplacian(Kernel):
     def __init__(self, sigma: float) -> None:
         self.sigma = sigma
 
-    def __call__(self, X: torch.Tensor, Y: torch.Tensor, Y_squares: torch.Tensor | None = None) -> torch.Tensor:
+    def __call__(
+        self,
+        X: torch.Tensor,
+        Y: torch.Tensor,
+        Y_squares: torch.Tensor | None = None,
+        out: torch.Tensor | None = None,
+    ) -> torch.Tensor:
         """Return the (n, m) kernel matrix."""
-        return squared_distances(X, Y, Y_squares).sqrt_().mul_(-1.0 / self.sigma).exp_()
+        return squared_distances(X, Y, Y_squares, out).sqrt_().mul_(-1.0 / self.sigma).exp_()
 
 
 class Linear(Kernel):
@@ -60,9 +86,15 @@ class Linear(Kernel):
     def __init__(self, sigma: float = 1.0) -> None:
         self.sigma = sigma
 
-    def __call__(self, X: torch.Tensor, Y: torch.Tensor, Y_squares: torch.Tensor | None = None) -> torch.Tensor:
+    def __call__(
+        self,
+        X: torch.Tensor,
+        Y: torch.Tensor,
+        Y_squares: torch.Tensor | None = None,
+        out: torch.Tensor | None = None,
+    ) -> torch.Tensor:
         """Return the (n, m) kernel matrix."""
-        return (X @ Y.T).mul_(1.0 / self.sigma**2)
+        return torch.mm(X, Y.T, out=out).mul_(1.0 / self.sigma**2)
 
 
 KERNELS: dict[str, type[Gaussian] | type[Laplacian] | type[Linear]] = {

@@ -11,12 +11,12 @@ from collections.abc import Iterator
 import torch
 
 from icub_core.errors import DataError
-from icub_segmenters.heads.kernels import Kernel
+from icub_segmenters.heads.kernels import Kernel, squares
 
 BLOCK_BYTES = 32 * 2**20
 """Size of one block of kernel rows; larger blocks leave the caches without being faster."""
-PANELS = 4
-"""Column panels of a Gram matrix; only the lower block triangle is computed (10 of 16 products)."""
+PANELS = 8
+"""Column panels of a Gram matrix; only the lower block triangle is computed (36 of 64 products)."""
 FIRST_JITTER = {torch.float32: 1e-9, torch.float64: 1e-14}
 """Relative to the mean diagonal; grown only where the factorisation fails."""
 LARGEST_JITTER = 1e-2
@@ -30,20 +30,18 @@ def row_blocks(n: int, width: int, itemsize: int) -> Iterator[slice]:
         yield slice(start, min(start + rows, n))
 
 
-def gram(K: torch.Tensor) -> torch.Tensor:
-    """Return K^T K (m, m) float64, lower block triangle computed and mirrored."""
+def add_gram(total: torch.Tensor, K: torch.Tensor) -> None:
+    """Add K^T K to the lower triangle of `total` (m, m) float64, for K (n, m); the rest of it means nothing."""
     m = K.shape[1]
-    product = torch.empty(m, m, dtype=torch.float64, device=K.device)
     edges = [round(i * m / PANELS) for i in range(PANELS + 1)]
     for start, stop in zip(edges[:-1], edges[1:], strict=True):
-        panel = K[:, start:stop].T @ K[:, :stop]
-        product[start:stop, :stop] = panel
-        product[:start, start:stop] = panel[:, :start].T
-    return product
+        total[start:stop, :stop] += K[:, start:stop].T @ K[:, :stop]
 
 
 def cholesky_with_jitter(A: torch.Tensor, first: float) -> torch.Tensor:
     """Factorise A (m, m) float64, adding `first` x mean diagonal to the diagonal, ten times more on each failure.
+
+    Only the lower triangle of A is looked at; its diagonal is left with the jitter added.
 
     Returns:
         Lower triangular L with L L^T = A + jitter I.
@@ -52,13 +50,13 @@ def cholesky_with_jitter(A: torch.Tensor, first: float) -> torch.Tensor:
         DataError: When even LARGEST_JITTER does not help.
     """
     scale = float(A.diagonal().mean())
-    relative = first
+    relative, added = first, 0.0
     while relative <= LARGEST_JITTER:
-        shifted = A.clone()
-        shifted.diagonal().add_(relative * scale)
-        L, info = torch.linalg.cholesky_ex(shifted)
+        A.diagonal().add_((relative - added) * scale)
+        L, info = torch.linalg.cholesky_ex(A)
         if int(info) == 0:
             return L
+        added = relative
         relative *= 10
     raise DataError("the kernel matrix cannot be factorised; are the features constant or the kernel width absurd?")
 
@@ -85,6 +83,7 @@ class NystromSystem:
         M = len(centers)
         self.offset: torch.Tensor | None = None  # (M,), subtracted from the columns of K
         # of the shifted columns, as are the next two
+        # the upper triangle means nothing
         self.gram = torch.zeros(M, M, dtype=torch.float64, device=centers.device)
         self.right_side = self.gram.new_zeros(M, problems)
         self.row_sum = self.gram.new_zeros(M)
@@ -96,23 +95,27 @@ class NystromSystem:
         """Number of targets."""
         return self.right_side.shape[1]
 
-    def rows(self, X: torch.Tensor) -> torch.Tensor:
-        """Return kernel rows K(X, centres) (n, M)."""
-        return self.kernel(X.to(self.centers), self.centers, self.center_squares)
+    def rows(self, X: torch.Tensor, out: torch.Tensor | None = None) -> torch.Tensor:
+        """Return kernel rows K(X, centres) (n, M), written to `out` if it is given."""
+        return self.kernel(X.to(self.centers), self.centers, self.center_squares, out)
 
     def add(self, X: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
         """Take in samples X (n, d) with targets Y (n, t), in blocks."""
+        buffer = None
         for block in row_blocks(len(X), len(self.centers), self.centers.element_size()):
+            count = block.stop - block.start
+            if buffer is None:  # the first block is the largest
+                buffer = self.centers.new_empty(count, len(self.centers))
             weight = None if sample_weight is None else sample_weight[block]
-            self.add_rows(self.rows(X[block]), Y[block], weight)
+            self.add_rows(self.rows(X[block], buffer[:count]), Y[block], weight)
 
     def add_rows(self, K: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
-        """Take in samples whose kernel rows K (n, M) are known."""
+        """Take in samples whose kernel rows K (n, M) are known; K is used up as working memory."""
         if len(K) == 0:
             return
         if self.offset is None:
             self.offset = K.mean(dim=0)
-        shifted, Y = K - self.offset, Y.to(K)
+        shifted, Y = K.sub_(self.offset), Y.to(K)
         if sample_weight is None:
             self.row_sum += shifted.sum(dim=0)
             self.target_sum += Y.sum(dim=0)
@@ -124,7 +127,7 @@ class NystromSystem:
             self.row_sum += (shifted * root).sum(dim=0)
             self.target_sum += (Y * root).sum(dim=0)
             self.weight += float(sample_weight.sum())
-        self.gram += gram(shifted)
+        add_gram(self.gram, shifted)
         self.right_side += shifted.T @ Y
 
     def add_problems(self, count: int) -> None:
@@ -158,7 +161,6 @@ class NystromSystem:
             self.gram[M:, M:] += K_new.T @ K_new
             fresh += K_new.T @ Y[block].to(K_new)
             fresh_sum += K_new.sum(dim=0)
-        self.gram[:M, M:] = self.gram[M:, :M].T
         self.right_side = torch.cat([old_right_side, fresh])
         self.row_sum = torch.cat([old_row_sum, fresh_sum])
         if old_offset is not None and fresh_offset is not None:
@@ -170,14 +172,14 @@ class NystromSystem:
         B = self.right_side
         if self.offset is not None:  # undo the shift: K = shifted + 1 offset^T
             offset = self.offset.double()
-            mixed = torch.outer(self.row_sum + 0.5 * self.weight * offset, offset)
-            H += mixed + mixed.T
+            moved = self.row_sum + 0.5 * self.weight * offset
+            H.addr_(moved, offset).addr_(offset, moved)
             B = B + torch.outer(offset, self.target_sum)
         L = cholesky_with_jitter(H, FIRST_JITTER[self.centers.dtype])
         return torch.cholesky_solve(B, L).to(self.centers)
 
     def _set_centers(self, centers: torch.Tensor) -> None:
         self.centers = centers
-        self.center_squares = (centers * centers).sum(dim=1)
+        self.center_squares = squares(centers)
         wide = centers.double()
         self.K_MM = self.kernel(wide, wide)
