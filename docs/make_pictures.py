@@ -384,6 +384,20 @@ def main_job(run_folder: Path | None = None) -> None:
     save_gif("main_job", stills, frames, seconds)
 
 
+def corrected(run_folder: Path | None = None) -> None:
+    """A false positive before and after its object was taught; from the run folder of teach_by_showing."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = run_folder or Path(temporary)
+        if run_folder is None:
+            job = f"run +segmenter=falkon pipeline=teach_by_showing run_dir={folder}"
+            subprocess.run([sys.executable, "-m", "icub_core.cli", *job.split()], check=True)
+        tiles = [t for part in ("before", "after") for t in split(iio.imread(folder / f"{part}.png"), 240, 320)[:3]]
+    save_png("corrected", contact_sheet(tiles, 3))
+
+
+FROM_RUNS = {"main_job": main_job, "corrected": corrected}
+
+
 def split(sheet: Image, height: int, width: int) -> list[Image]:
     """Cut a contact sheet into its pictures, leaving out empty ones."""
     tiles = [
@@ -404,7 +418,7 @@ def titled(picture: Image, title: str) -> Image:
 
 PICTURES: dict[str, Callable[[], None]] = {
     made.__name__: made
-    for made in (robot, hands, cameras, objects, superquadric, grasp, feature_task, datasets, main_job)
+    for made in (robot, hands, cameras, objects, superquadric, grasp, feature_task, datasets, main_job, corrected)
 }
 
 
@@ -412,21 +426,22 @@ def main() -> None:
     """Make the pictures named on the command line, or all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", metavar="NAME", nargs="*", help=", ".join(PICTURES))
-    parser.add_argument("--run", type=Path, help="for main_job: folder of a run with segmenter and policy")
+    parser.add_argument("--run", type=Path, help="for main_job or corrected: folder of such a run")
     options = parser.parse_args()
     for name in options.names:
         if name not in PICTURES:
             parser.error(f"no picture named '{name}'; known: {', '.join(PICTURES)}")
     names = options.names or list(PICTURES)
     if len(names) > 1:  # a process each: the FEATURE-TASK's renderer and the simulator's need OpenGL in different ways
+        if options.run:
+            parser.error("--run needs the name of the one picture that is made from the run")
         for name in names:
-            more = ["--run", str(options.run)] if options.run and name == "main_job" else []
-            subprocess.run([sys.executable, __file__, name, *more], check=True)
+            subprocess.run([sys.executable, __file__, name], check=True)
         return
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     FOLDER.mkdir(exist_ok=True)
-    if names == ["main_job"]:
-        main_job(options.run)
+    if names[0] in FROM_RUNS:
+        FROM_RUNS[names[0]](options.run)
         return
     # the renderer of the FEATURE-TASK is MuJoCo's own, which looks at the environment when it is imported
     os.environ.setdefault("MUJOCO_GL", choose_backend())

@@ -62,7 +62,8 @@ class RgbdFrame:
         x = (columns - self.intrinsics[0, 2]) / self.intrinsics[0, 0] * z
         y = (rows - self.intrinsics[1, 2]) / self.intrinsics[1, 1] * z
         points = np.stack([x, y, z], axis=1) @ self.T_world_camera[:3, :3].T + self.T_world_camera[:3, 3]
-        return PointCloud(points, frame="world", rgb=self.rgb[rows, columns])
+        viewpoint = self.T_world_camera[:3, 3].astype(np.float64)
+        return PointCloud(points, frame="world", rgb=self.rgb[rows, columns], viewpoint=viewpoint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +107,13 @@ class PointCloud:
         points: (N, 3) float64, metres.
         frame: Name of the frame, usually ``"world"``.
         rgb: (N, 3) uint8, or None.
+        viewpoint: (3,) optical centre of the camera that saw all of them, in the same frame; None when there is none.
     """
 
     points: FloatArray
     frame: str = "world"
     rgb: NDArray[np.uint8] | None = None
+    viewpoint: FloatArray | None = None
 
     def __post_init__(self) -> None:
         _require(
@@ -121,6 +124,8 @@ class PointCloud:
             _require(
                 self.rgb.shape == self.points.shape, f"PointCloud.rgb is {self.rgb.shape}; expected {self.points.shape}"
             )
+        if self.viewpoint is not None:
+            _require(self.viewpoint.shape == (3,), f"PointCloud.viewpoint is {self.viewpoint.shape}; expected (3,)")
 
     def __len__(self) -> int:
         return len(self.points)

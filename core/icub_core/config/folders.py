@@ -18,6 +18,7 @@ OWN = "icub"
 
 TYPED_GROUPS = {
     ("pipeline", "main"): "icub_core.pipeline.settings:MainSettings",
+    ("pipeline", "teach_by_showing"): "icub_core.pipeline.settings:ShowingSettings",
     ("scene", "tabletop"): "icub_core.config.settings:SceneSettings",
     ("task", "grasp"): "icub_core.grasping.task:TaskSettings",
 }

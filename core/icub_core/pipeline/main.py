@@ -4,35 +4,23 @@ from __future__ import annotations
 
 import functools
 import logging
-import shlex
-import sys
-import time
 from pathlib import Path
 from typing import Any, cast
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from icub_core import registry
 from icub_core.config.assembly import Assembly
 from icub_core.config.settings import build_scene, to_dataclass
 from icub_core.errors import ConfigError
 from icub_core.grasping.env import GraspEnv
 from icub_core.grasping.task import GraspTask
-from icub_core.hooks import Events
-from icub_core.interfaces.object_set import ObjectSet
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.pipeline import grasping, seeing
-from icub_core.pipeline.console import ConsoleView
 from icub_core.pipeline.context import RunContext
-from icub_core.pipeline.report import write_metrics, write_provenance, write_report
+from icub_core.pipeline.lifecycle import carry_out
 from icub_core.pipeline.settings import MainSettings
-from icub_core.scene import ObjectSpec
 
 logger = logging.getLogger(__name__)
-
-STRANGERS_SET = "random1000"
-STRANGER_SIZE = (0.08, 0.2)
-"""Smallest and largest extent to which strangers are scaled, metres: sizes alone must not give the targets away."""
 
 
 def run(cfg: DictConfig, run_dir: Path) -> dict[str, Any]:
@@ -45,22 +33,8 @@ def run(cfg: DictConfig, run_dir: Path) -> dict[str, Any]:
     Returns:
         The flat figures of metrics.json.
     """
-    events = Events.discover([ConsoleView()])
-    context = RunContext(run_dir, int(cfg.seed), events)
-    config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
-    write_provenance(run_dir, context.seed, command=shlex.join(["icub", "run", *sys.argv[1:]]))
-    events.emit("icub_run_start", config=config, run_dir=run_dir)
-    error: BaseException | None = None
-    started = time.perf_counter()
-    try:
-        _stages(context, cfg, cast(MainSettings, to_dataclass(cfg.pipeline)))
-        _finish(context, cfg, time.perf_counter() - started)
-    except BaseException as cause:
-        error = cause
-        raise
-    finally:
-        events.emit("icub_run_end", metrics=context.metrics, run_dir=run_dir, error=error)
-    return context.metrics
+    settings = cast(MainSettings, to_dataclass(cfg.pipeline))
+    return carry_out(cfg, run_dir, lambda context: _stages(context, cfg, settings))
 
 
 def _stages(context: RunContext, cfg: DictConfig, settings: MainSettings) -> None:
@@ -108,21 +82,14 @@ def _learn_to_see(context: RunContext, plugins: Assembly, segmenter: Segmenter, 
             seeing.learn(context, segmenter)
         with context.stage("see"):
             targets = [objects.get(name) for name in settings.teach.objects]
-            strangers = _strangers(context, objects, settings)
+            strangers = seeing.strangers(
+                objects, settings.teach.objects, settings.see.strangers, context.rng("strangers")
+            )
             seeing.see(context, simulator, targets, strangers, segmenter, settings.see)
     finally:
         simulator.close()
     segmenter.save(heads)
     context.remember("see")
-
-
-def _strangers(context: RunContext, objects: ObjectSet, settings: MainSettings) -> list[ObjectSpec]:
-    """Objects that were never taught: the rest of the object set, and random ones."""
-    rest = [objects.get(name) for name in objects.names if name not in settings.teach.objects]
-    rest = rest[: settings.see.strangers // 2]
-    random = registry.build("objects", STRANGERS_SET, size=list(STRANGER_SIZE))
-    drawn = context.rng("strangers").choice(len(random.names), settings.see.strangers - len(rest), replace=False)
-    return rest + [random.get(random.names[i]) for i in sorted(drawn)]
 
 
 def grasp_env(
@@ -149,18 +116,3 @@ def grasp_env(
         world_seed = seed + world
         tasks.append(GraspTask(simulator, robot, generator, [target], masks=masks, settings=task, seed=world_seed))
     return GraspEnv(tasks, pool_size=settings.grasp.starts, threads=settings.grasp.threads, seed=seed)
-
-
-def _finish(context: RunContext, cfg: DictConfig, seconds: float) -> None:
-    # a run that goes on where another was interrupted counts the other's stages too
-    context.metrics["run.seconds"] = max(seconds, sum(context.seconds.values()))
-    write_metrics(context.run_dir, context.metrics)
-    write_report(
-        context.run_dir,
-        "icub run",
-        context.metrics,
-        context.seconds,
-        context.pictures,
-        context.notes,
-        OmegaConf.to_yaml(cfg, resolve=True),
-    )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from icub_core import registry
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import ConfigError, DataError
 from icub_core.evaluation.detection import evaluate_instances
@@ -23,6 +24,9 @@ from icub_core.robot_description import RobotDescription
 from icub_core.scene import ObjectSpec, Scene, Table
 
 SHEET_COLUMNS = 4
+STRANGERS_SET = "random1000"
+STRANGER_SIZE = (0.08, 0.2)
+"""Smallest and largest extent to which strangers are scaled, metres: sizes alone must not give the targets away."""
 
 
 def teach(
@@ -41,26 +45,57 @@ def teach(
     samples: list[Image] = []
     annotated = 0
     for number, spec in enumerate(specs):
-        table = Table(material=random_surface(rng))
-        scene = Scene(objects=(spec,), table=table, floor=random_surface(rng), lights=random_lights(rng))
-        simulator.load(robot, scene)
-        simulator.reset()
-        frames = show(simulator, spec.name, Showing(frames=settings.frames), rng)
-        seen = 0
-        for frame, instance in annotate(frames, spec.name):
-            segmenter.observe(frame, (instance,))
-            seen += 1
-            share = (number + min(seen / settings.frames, 1.0)) / len(specs)
-            context.progress(share, f"{spec.name}, {seen} frames")
-            if seen == settings.frames // 2:
-                samples.append(draw_instances(frame.rgb, (instance,)))
-        if seen == 0:
-            raise DataError(
-                f"no frame of '{spec.name}' gave a mask that agrees with its neighbours; show it more slowly"
-            )
+
+        def tell(share: float, text: str, number: int = number) -> None:
+            context.progress((number + share) / len(specs), text)
+
+        seen, sample = teach_object(simulator, robot, spec, segmenter, settings.frames, rng, tell)
         annotated += seen
+        samples.append(sample)
     context.record({"teach.objects": len(specs), "teach.frames": annotated})
-    _sheet(context, "Taught: masks from depth", "taught.png", samples)
+    save_sheet(context, "Taught: masks from depth", "taught.png", samples)
+
+
+def teach_object(
+    simulator: Simulator,
+    robot: RobotDescription,
+    spec: ObjectSpec,
+    segmenter: Segmenter,
+    frames: int,
+    rng: np.random.Generator,
+    progress: Callable[[float, str], None],
+) -> tuple[int, Image]:
+    """Show one object in a room of its own; nothing is trained yet.
+
+    Args:
+        simulator: Its world is replaced.
+        robot: Looks on.
+        spec: What is shown, under its own name.
+        segmenter: Observes.
+        frames: Pictures taken.
+        rng: Decides the room and how the object is moved.
+        progress: Called with the finished share and a text.
+
+    Returns:
+        Number of annotated frames, and one of them with its mask drawn.
+
+    Raises:
+        DataError: No frame gave a mask.
+    """
+    table = Table(material=random_surface(rng))
+    scene = Scene(objects=(spec,), table=table, floor=random_surface(rng), lights=random_lights(rng))
+    simulator.load(robot, scene)
+    simulator.reset()
+    seen, sample = 0, None
+    for frame, instance in annotate(show(simulator, spec.name, Showing(frames=frames), rng), spec.name):
+        segmenter.observe(frame, (instance,))
+        seen += 1
+        progress(min(seen / frames, 1.0), f"{spec.name}, {seen} frames")
+        if sample is None or seen == frames // 2:
+            sample = draw_instances(frame.rgb, (instance,))
+    if sample is None:
+        raise DataError(f"no frame of '{spec.name}' gave a mask that agrees with its neighbours; show it more slowly")
+    return seen, sample
 
 
 def learn(context: RunContext, segmenter: Segmenter) -> None:
@@ -82,18 +117,27 @@ def see(
     truths: list[tuple[Instance, ...]] = []
     predictions: list[tuple[Instance, ...]] = []
     examples: list[Image] = []
+    names = [spec.name for spec in targets]
     pictures = tabletop_pictures(simulator, targets, strangers, Tabletop(frames=settings.frames), context.rng("see"))
-    for number, (frame, truth) in enumerate(pictures):
+    for number, (frame, present) in enumerate(pictures):
         found = segmenter.segment(frame)
-        truths.append(truth)
+        truths.append(tuple(instance for instance in present if instance.label in names))
         predictions.append(found)
         if len(examples) < 2 * SHEET_COLUMNS:
             examples.append(draw_instances(frame.rgb, confident(found)))
         context.progress((number + 1) / settings.frames, f"{number + 1} of {settings.frames} pictures")
-    metrics = evaluate_instances(truths, predictions, [spec.name for spec in targets])
+    metrics = evaluate_instances(truths, predictions, names)
     context.record(metrics.as_dict("segmentation."))
     context.record({"segmentation.test_frames": len(truths), "segmentation.test_objects": sum(map(len, truths))})
-    _sheet(context, "Seen on the table, among strangers, in other rooms", "seen.png", examples)
+    save_sheet(context, "Seen on the table, among strangers, in other rooms", "seen.png", examples)
+
+
+def strangers(objects: ObjectSet, taught: Sequence[str], count: int, rng: np.random.Generator) -> list[ObjectSpec]:
+    """Draw objects that are never taught: half of them from the rest of the object set, the others random ones."""
+    rest = [objects.get(name) for name in objects.names if name not in taught][: count // 2]
+    random = registry.build("objects", STRANGERS_SET, size=list(STRANGER_SIZE))
+    drawn = rng.choice(len(random.names), count - len(rest), replace=False)
+    return rest + [random.get(random.names[i]) for i in sorted(drawn)]
 
 
 def confident(instances: Sequence[Instance]) -> tuple[Instance, ...]:
@@ -111,7 +155,8 @@ def find_mask(segmenter: Segmenter, frame: RgbdFrame, name: str) -> NDArray[np.b
     return max(candidates, key=lambda instance: instance.score).mask if candidates else None
 
 
-def _sheet(context: RunContext, caption: str, file_name: str, images: Sequence[Image]) -> None:
+def save_sheet(context: RunContext, caption: str, file_name: str, images: Sequence[Image]) -> None:
+    """Write images of one size as one picture into the run folder, for the report."""
     if images:
         path = context.run_dir / file_name
         save_picture(path, contact_sheet(images, SHEET_COLUMNS))

@@ -68,3 +68,23 @@ class MainSettings:
     teach: TeachSettings = field(default_factory=TeachSettings)
     see: SeeSettings = field(default_factory=SeeSettings)
     grasp: GraspSettings = field(default_factory=GraspSettings)
+
+
+@dataclass
+class ShowingSettings:
+    """Teaching by showing: objects one after another, then the correction of a false positive.
+
+    Attributes:
+        objects: Shown in this order; what is learned of one is there before the next is shown.
+        frames: Pictures of each.
+        looks: Pictures of the table in which false positives are sought, and as many others that measure the change.
+        strangers: Objects that stand about unknown; one of them is mistaken, and then taught.
+        interactive: Take commands from the terminal instead of following the script.
+    """
+
+    name: str = "teach_by_showing"
+    objects: list[str] = field(default_factory=lambda: ["004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle"])
+    frames: int = 60
+    looks: int = 24
+    strangers: int = 10
+    interactive: bool = False

@@ -71,13 +71,13 @@ def scatter(
     return places
 
 
-def visible_instances(picture: Rendering, names: Sequence[str], targets: Sequence[str]) -> tuple[Instance, ...]:
-    """Return the true instances of the `targets` that show enough pixels, from a rendering's segmentation."""
+def visible_instances(picture: Rendering, names: Sequence[str]) -> tuple[Instance, ...]:
+    """Return the true instances that show enough pixels, from a rendering's segmentation."""
     assert picture.segmentation is not None
     found = []
     for index, name in enumerate(names):
         mask = picture.segmentation == index
-        if name in targets and np.count_nonzero(mask) >= MINIMUM_VISIBLE_PIXELS:
+        if np.count_nonzero(mask) >= MINIMUM_VISIBLE_PIXELS:
             found.append(Instance.from_mask(name, mask))
     return tuple(found)
 
@@ -89,7 +89,7 @@ def tabletop_pictures(
     tabletop: Tabletop,
     rng: np.random.Generator,
 ) -> Iterator[tuple[RgbdFrame, tuple[Instance, ...]]]:
-    """Yield pictures and the true instances of the taught objects in them.
+    """Yield pictures and the true instances of all objects in them, strangers included.
 
     Args:
         simulator: Its world is replaced.
@@ -100,7 +100,6 @@ def tabletop_pictures(
     """
     objects = (*targets, *strangers)
     names = [spec.name for spec in objects]
-    target_names = [spec.name for spec in targets]
     scene = Scene(objects=objects)
     table = scene.table or Table()
     middle = (table.center[0] + 0.28, table.center[1])
@@ -121,7 +120,7 @@ def tabletop_pictures(
             CameraView(_viewpoint(middle, table.top, tabletop, rng)), tabletop.width, tabletop.height,
             segmentation=True, shadows=True,
         )  # fmt: skip
-        yield picture.frame, visible_instances(picture, names, target_names)
+        yield picture.frame, visible_instances(picture, names)
 
 
 def _viewpoint(
