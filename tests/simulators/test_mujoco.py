@@ -1,5 +1,6 @@
 """What only the MuJoCo engine promises: real faults, its solver settings, speed-minded internals."""
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import pytest
 from icub_core.errors import SimulationError
 from icub_core.interfaces.simulator import Fault
 from icub_core.scene import Scene
+from icub_simulators.mujoco.builder import build_spec, compile_model
 from icub_simulators.mujoco.simulator import Mujoco
 
 
@@ -126,3 +128,26 @@ def test_warnings_are_not_written_beside_the_user(loaded, tmp_path, monkeypatch,
     loaded.step(2)
     assert list(tmp_path.iterdir()) == []
     assert "WARNING" not in capfd.readouterr().err
+
+
+def test_links_that_cannot_move_are_no_bodies_but_have_poses(loaded, icub):
+    q = icub.description.home_q + 0.05 * np.cos(np.arange(len(icub.description.home_q)))
+    loaded.set_joint_positions(q)
+    bodies = {loaded.model.body(i).name for i in range(loaded.model.nbody)}
+    still = ["r_foot", "l_forearm", "r_hand_dh_frame", "r_hand_thumb_tip"]  # on the world, the chest and the hand
+    assert not bodies & set(still)
+    for link in [*still, "r_hand_index_3"]:
+        np.testing.assert_allclose(loaded.link_pose(link), icub.forward_kinematics(q, link), atol=1e-6)
+
+
+def test_gravity_pulls_a_robot_that_does_not_compensate_it(icub, ycb):
+    """The weights of links that were merged into others count, too."""
+    description = dataclasses.replace(icub.description, gravity_compensation=False)
+    simulator = Mujoco()
+    simulator.load(description, Scene(objects=(ycb.get("004_sugar_box"),)))
+    weights = -simulator.data.xfrc_applied[:, 2] / 9.81
+    spec = build_spec(description, Scene(), visual=False)
+    links = compile_model(spec)
+    static = sum(links.body_mass[i] for i in range(links.nbody) if links.body_weldid[i] == 0)
+    assert weights.sum() == pytest.approx(links.body_mass.sum() - static)
+    simulator.close()

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from icub_core.errors import SimulationError
+from icub_core.geometry import make_transform, quat_wxyz_to_matrix
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import Geom, ObjectSpec, Scene, Table
 from icub_simulators.mujoco.collision import FLOOR, OBJECT, OBJECT_MEETS, TABLE
@@ -73,16 +75,44 @@ def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
         raise SimulationError(f"MuJoCo cannot build this world: {reason}") from error
 
 
-def build_physics(robot: RobotDescription | None, scene: Scene) -> mujoco.MjModel:
-    """Compile the world without anything that is only drawn, with the masses that the scene states."""
-    model = compile_model(build_spec(robot, scene, visual=False))
+LinkFrames = dict[str, tuple[str, NDArray[np.float64] | None]]
+"""By link: the body of the compiled model that carries it, and T_body_link (4, 4); None where they are the same."""
+
+
+def build_physics(robot: RobotDescription | None, scene: Scene) -> tuple[mujoco.MjModel, LinkFrames]:
+    """Compile the world without anything that is only drawn, with the masses that the scene states.
+
+    Links that cannot move against their parent become one body with it: half of the iCub's bodies (legs, the welded
+    arm, frames), a seventh of a step's time, and the same physics.
+    """
+    spec = build_spec(robot, scene, visual=False)
+    spec.compiler.fusestatic = True
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # hand and object are one island anyway
+    parents = {
+        body.name: (body.parent.name, make_transform(quat_wxyz_to_matrix(body.quat), body.pos))
+        for body in spec.bodies[1:]
+    }
+    model = compile_model(spec)
     for item in scene.objects:
         body = model.body(OBJECT_PREFIX + item.name).id
         factor = item.mass / model.body_mass[body]  # compiled at one density: mass and inertia scale together
         model.body_mass[body] *= factor
         model.body_inertia[body] *= factor
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    return model
+    return model, _link_frames(model, parents)
+
+
+def _link_frames(model: mujoco.MjModel, parents: dict[str, tuple[str, NDArray[np.float64]]]) -> LinkFrames:
+    """Follow each link to the body that the compiler left of it; `parents`: by link, its parent and T_parent_link."""
+    kept = {model.body(i).name for i in range(model.nbody)}
+    frames: LinkFrames = {}
+    for link in parents:
+        body, T = link, None
+        while body not in kept:
+            body, step = parents[body]
+            T = step if T is None else step @ T
+        frames[link] = (body, T)
+    return frames
 
 
 def _add_table(spec: mujoco.MjSpec, table: Table, visual: bool) -> None:

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import Scene
 from icub_simulators.limits import FASTEST_JOINT, FASTEST_OBJECT, FASTEST_SPIN
-from icub_simulators.mujoco.builder import OBJECT_PREFIX
+from icub_simulators.mujoco.builder import OBJECT_PREFIX, TABLE_BODY, LinkFrames
+from icub_simulators.mujoco.collision import ROBOT
+from icub_simulators.mujoco.robot_spec import link_of_geom
 
 IntArray = NDArray[np.intp]
 Indexer = IntArray | slice
@@ -27,13 +29,22 @@ class ObjectSlots:
 
 
 @dataclass(frozen=True, eq=False)
+class LinkSlot:
+    """A link's place: the body that carries it and T_body_link (4, 4), None for the body itself."""
+
+    body: int
+    offset: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True, eq=False)
 class Index:
     """Places in a model.
 
     Attributes:
         qpos, qvel: Of the robot's joints in the description's order; a slice where they are contiguous.
         lengths: (A, b): actuator lengths are A q + b.
-        bodies: Body number by link name.
+        links: By name.
+        robot_bodies: Bodies that move with the robot's joints.
         objects: By object name.
         object_of_geom: (ngeom,) index into the scene's objects, -1 for the rest.
         robot_geom: (ngeom,) bool.
@@ -44,7 +55,8 @@ class Index:
     qpos: Indexer
     qvel: Indexer
     lengths: tuple[NDArray[np.float64], NDArray[np.float64]]
-    bodies: dict[str, int]
+    links: dict[str, LinkSlot]
+    robot_bodies: tuple[int, ...]
     objects: dict[str, ObjectSlots]
     object_of_geom: NDArray[np.int32]
     robot_geom: NDArray[np.bool_]
@@ -52,10 +64,15 @@ class Index:
     velocity_limits: NDArray[np.float64]
 
 
-def build_index(model: mujoco.MjModel, robot: RobotDescription | None, scene: Scene) -> Index:
+def build_index(model: mujoco.MjModel, frames: LinkFrames, robot: RobotDescription | None, scene: Scene) -> Index:
     """Look everything up."""
     joints = robot.joint_names if robot is not None else ()
-    links = _link_bodies(model, scene)
+    strangers = (TABLE_BODY, *(OBJECT_PREFIX + item.name for item in scene.objects))
+    links = {
+        link: LinkSlot(int(model.body(body).id), offset)
+        for link, (body, offset) in frames.items()
+        if link not in strangers
+    }
     limits = np.full(model.nv, FASTEST_JOINT)
     objects = {}
     object_of_geom = np.full(model.ngeom, -1, np.int32)
@@ -65,29 +82,23 @@ def build_index(model: mujoco.MjModel, robot: RobotDescription | None, scene: Sc
         objects[item.name] = ObjectSlots(int(body.id), slice(start, start + 7), slice(first, first + 6))
         object_of_geom[model.geom_bodyid == body.id] = number
         limits[first : first + 3], limits[first + 3 : first + 6] = FASTEST_OBJECT, FASTEST_SPIN
+    carriers = [link_of_geom(model.geom(i).name) for i in range(model.ngeom)]
     tips = {}
     for hand, names in (robot.fingertips if robot is not None else {}).items():
-        tips[hand] = np.full(model.ngeom, -1, np.int8)
-        for finger, link in enumerate(names):
-            tips[hand][model.geom_bodyid == links[link]] = finger
+        tips[hand] = np.array([names.index(link) if link in names else -1 for link in carriers], np.int8)
     n = len(joints)
     return Index(
         qpos=_indexer([int(model.joint(name).qposadr[0]) for name in joints]),
         qvel=_indexer([int(model.joint(name).dofadr[0]) for name in joints]),
         lengths=robot.actuator_matrix() if robot is not None else (np.zeros((0, n)), np.zeros(0)),
-        bodies=links,
+        links=links,
+        robot_bodies=tuple(sorted({slot.body for slot in links.values()} - {0})),
         objects=objects,
         object_of_geom=object_of_geom,
-        robot_geom=np.isin(model.geom_bodyid, list(links.values())),
+        robot_geom=model.geom_contype == ROBOT,
         fingertip_of_geom=tips,
         velocity_limits=limits,
     )
-
-
-def _link_bodies(model: mujoco.MjModel, scene: Scene) -> dict[str, int]:
-    strangers = ("world", "furniture/table", *(OBJECT_PREFIX + item.name for item in scene.objects))
-    names = {model.body(i).name: i for i in range(model.nbody)}
-    return {name: i for name, i in names.items() if name not in strangers}
 
 
 def _indexer(places: list[int]) -> Indexer:

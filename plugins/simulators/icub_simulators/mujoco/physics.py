@@ -45,9 +45,9 @@ class Physics:
     def __init__(self, robot: RobotDescription | None, scene: Scene) -> None:
         self.robot = robot
         self.scene = scene
-        self.model = build_physics(robot, scene)
+        self.model, frames = build_physics(robot, scene)
         self.data = mujoco.MjData(self.model)
-        self.index = build_index(self.model, robot, scene)
+        self.index = build_index(self.model, frames, robot, scene)
         self.parked = np.ones(len(scene.objects), dtype=bool)
         index = self.index
         self._number = {item.name: i for i, item in enumerate(scene.objects)}
@@ -58,7 +58,9 @@ class Physics:
         self._q = self.data.qpos[index.qpos] if isinstance(index.qpos, slice) else None
         self._dq = self.data.qvel[index.qvel] if isinstance(index.qvel, slice) else None
         self._ctrl, self._qvel = self.data.ctrl, self.data.qvel
+        self._positions, self._rotations = self.data.xpos, self.data.xmat.reshape(-1, 3, 3)
         self._ones = np.ones(self.model.nu)
+        self._no_warnings = bytes(self.data.warning.number.nbytes)
         self._speed = np.empty(self.model.nv)
         self._per_speed = 1.0 / index.velocity_limits
         self._tip_codes = {hand: self._contact_codes(tips) for hand, tips in index.fingertip_of_geom.items()}
@@ -73,7 +75,7 @@ class Physics:
         mujoco.mj_resetData(self.model, self.data)
         self.parked[:] = True
         if self.robot is not None and not self.robot.gravity_compensation:
-            for body in self.index.bodies.values():
+            for body in self.index.robot_bodies:
                 self._put_weight(body, True)
         self._seen.clear()
         self._clock = 0.0
@@ -108,7 +110,7 @@ class Physics:
     def actuator_positions(self) -> FloatArray:
         """Return the actuators' lengths (m,), rad."""
         q = self.data.qpos[self.index.qpos] if self._q is None else self._q
-        return self._A @ q + self._b
+        return self._A.dot(q) + self._b
 
     def robot_state(self, contacts: NDArray[np.bool_]) -> RobotState:
         """Bundle what the robot measures with the given fingertip contacts."""
@@ -136,12 +138,10 @@ class Physics:
                 f"command has shape {targets.shape}; expected {self._low.shape}, one length an actuator"
             )
         # a sum is finite only if every command is; faster than isfinite().all()
-        if not math.isfinite(self._ones @ targets):
+        if not math.isfinite(self._ones.dot(targets)):
             self._seen.add(Fault.NOT_A_NUMBER)
             return
-        ctrl = self._ctrl
-        np.maximum(targets, self._low, out=ctrl)
-        np.minimum(ctrl, self._high, out=ctrl)
+        np.minimum(np.maximum(targets, self._low, out=self._ctrl), self._high, out=self._ctrl)
 
     def targets(self) -> FloatArray:
         """Return the present commands (m,), rad."""
@@ -149,16 +149,16 @@ class Physics:
 
     def link_pose(self, link: str) -> FloatArray:
         """Return T_world_link (4, 4)."""
-        body = self.index.bodies.get(link)
-        if body is None:
-            raise ConfigError(unknown_name("link", link, self.index.bodies))
+        slot = self.index.links.get(link)
+        if slot is None:
+            raise ConfigError(unknown_name("link", link, self.index.links))
         if self._stale:
             self._refresh()
         T = np.zeros((4, 4))
-        T[:3, :3] = self.data.xmat[body].reshape(3, 3)
-        T[:3, 3] = self.data.xpos[body]
+        T[:3, :3] = self._rotations[slot.body]
+        T[:3, 3] = self._positions[slot.body]
         T[3, 3] = 1.0
-        return T
+        return T if slot.offset is None else T.dot(slot.offset)
 
     def object_pose(self, name: str) -> FloatArray:
         """Return T_world_object (4, 4)."""
@@ -166,8 +166,8 @@ class Physics:
         if self._stale:
             self._refresh()
         T = np.zeros((4, 4))
-        T[:3, :3] = self.data.xmat[slots.body].reshape(3, 3)
-        T[:3, 3] = self.data.xpos[slots.body]
+        T[:3, :3] = self._rotations[slots.body]
+        T[:3, 3] = self._positions[slots.body]
         T[3, 3] = 1.0
         return T
 
@@ -251,7 +251,7 @@ class Physics:
     def faults(self) -> tuple[Fault, ...]:
         """Return what went wrong since the last reset or restore."""
         warnings = self.data.warning.number
-        if warnings.any():
+        if warnings.tobytes() != self._no_warnings:  # half the time of a task's readings went into warnings.any()
             if warnings[_RESET_WARNINGS].any():
                 self._seen.update((Fault.HIDDEN_RESET, Fault.NOT_A_NUMBER))
             if warnings[_CONTROL_WARNING]:
@@ -260,7 +260,7 @@ class Physics:
                 self._seen.add(Fault.DROPPED_CONTACTS)
         speed = np.multiply(self._qvel, self._per_speed, out=self._speed)
         # cheap test first: squares that sum to less than 1 are each below 1; a NaN fails it
-        if not speed @ speed <= 1.0 and not np.all(np.abs(speed) <= 1.0):
+        if not speed.dot(speed) <= 1.0 and not np.all(np.abs(speed) <= 1.0):
             finite = bool(np.all(np.isfinite(self._qvel)))
             self._seen.add(Fault.EXPLODING_VELOCITY if finite else Fault.NOT_A_NUMBER)
         return tuple(fault for fault in Fault if fault in self._seen) if self._seen else ()

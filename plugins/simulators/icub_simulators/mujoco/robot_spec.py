@@ -20,6 +20,9 @@ NEGLIGIBLE_FRICTION = 0.02
 """Nm of dry joint friction that is left out: every joint with any is one more constraint, together a quarter of the
 time of a step, while the servos' torques are a hundred times larger and the joints' damping does the rest."""
 
+_SHAPE = "/shape/"
+"""Between link and number in the name of a shape; which body it ends up in is the compiler's affair."""
+
 COUPLING_SOLREF, COUPLING_SOLIMP = (0.01, 1.0), (0.99, 0.999, 0.001, 0.5, 2.0)
 """Of joints that follow another: as stiff as a 5 ms step resolves; the engine's defaults give way by two degrees."""
 
@@ -106,7 +109,8 @@ def _set_geoms(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
         material = robot.contacts.get(body.name, default)
         geoms = list(body.geoms)
         shown = any(geom.contype == 0 for geom in geoms)
-        for geom in geoms:
+        for number, geom in enumerate(geoms):
+            geom.name = f"{body.name}{_SHAPE}{number}"
             if body.name in robot.capsule_links and geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER:
                 geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
             if geom.contype == 0:  # visual
@@ -140,6 +144,12 @@ def _add_actuator(spec: mujoco.MjSpec, actuator: Actuator) -> None:
     added.biasprm[:3] = [-actuator.kp * actuator.offset, -actuator.kp, 0.0]
     added.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
     added.ctrlrange = actuator.range
+
+
+def link_of_geom(name: str) -> str:
+    """Return the link that a shape of the robot belongs to; empty for the name of anything else."""
+    link, mark, _ = name.rpartition(_SHAPE)
+    return link if mark else ""
 
 
 def _first_line(error: Exception) -> str:
