@@ -14,6 +14,7 @@ MAX_EXTENT = 1.0
 MIN_EXTENT = 1e-3
 _LINE = 0.02  # ratio of the second to the first principal deviation below which the points are a line
 _OUTLIERS = 0.06  # share cut off at both ends of an extent: outliers must not span the box
+_TRIMMED = 0.02  # share cut off where the middle of an object is looked for
 _CHECKED = 500  # points that extent and spread are judged by
 
 CLOUD_POINTS = 250
@@ -60,3 +61,17 @@ def trimmed_extents(rows: FloatArray, share: float) -> tuple[FloatArray, FloatAr
     cut = int(share * count)
     part = np.partition(rows, (cut, count - 1 - cut), axis=-1)
     return part[..., cut], part[..., count - 1 - cut]
+
+
+def center_of(points: NDArray[np.floating], table_top: float | None) -> FloatArray:
+    """Estimate the middle (3,) of the object whose visible surface are `points` (N, 3); it stands on the table.
+
+    Raises:
+        DataError: No points.
+    """
+    if len(points) == 0:
+        raise DataError("the cloud has no points")
+    low, high = trimmed_extents(thin(points, _CHECKED).T, _TRIMMED)
+    if table_top is not None:
+        low[2] = min(table_top, high[2])
+    return (low + high) / 2

@@ -1,0 +1,136 @@
+"""The grasp generator `vgn`: signed distance field, network, selection, adaptation to the hand, reachability."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from icub_core.data import Grasp, GraspProposals, PointCloud
+from icub_core.errors import ConfigError, DataError
+from icub_core.geometry import FloatArray
+from icub_core.interfaces.grasp_generator import GraspGenerator
+from icub_core.interfaces.robot import Robot
+from icub_core.scene import Table
+from icub_grasp_generators.clouds import CLOUD_POINTS, MAX_TOUCHED, center_of, check_cloud, thin
+from icub_grasp_generators.reach import HandGeometries, Reach
+from icub_grasp_generators.vgn.adaptation import hand_poses
+from icub_grasp_generators.vgn.network import GRIPPER, load_network
+from icub_grasp_generators.vgn.selection import WIDTHS, select
+from icub_grasp_generators.vgn.volume import Volume
+
+NAME = "vgn"
+
+_MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # the robot's plane of symmetry
+_FLIP = np.diag([1.0, 1.0, -1.0, 1.0])  # a left hand's palm looks along -z of its frame
+_FIELD = 0.5  # metres between the object and a camera that had to be assumed
+
+
+class Vgn(GraspGenerator):
+    """Grasps that a volumetric network finds in the signed distance field of the cloud.
+
+    Every voxel has a quality, a rotation and a width. The best voxels near the surface become hand poses; those that
+    keep the open hand out of table and cloud and that the arm reaches on the whole way are returned, most confident
+    first.
+
+    Args:
+        weights: ``"icub_hand"`` (shipped; learned from trials with the robot's hand), ``"parallel_jaw"`` (shipped;
+            learned from trials with a gripper, adapted to the hand), the path of a file that
+            ``icub train grasp_generator=vgn`` wrote, or the path of the original's weight file (``.pth``).
+        threshold: Least quality of a voxel, 0..1.
+        table_in_volume: Whether the field contains the table.
+        max_grasps: At most this many are returned.
+
+    Raises:
+        WeightsError: Missing, truncated or foreign weights.
+
+    Source: Breyer et al. 2020; thesis 12.3.1 for the adaptation.
+    """
+
+    def __init__(
+        self, weights: str = "icub_hand", threshold: float = 0.5, table_in_volume: bool = False, max_grasps: int = 5
+    ) -> None:
+        if not 0.0 <= threshold < 1.0 or max_grasps < 1:
+            raise ConfigError(f"vgn: threshold {threshold}, max_grasps {max_grasps}; expected 0 to 1 and at least 1")
+        self._network, self._meaning = load_network(weights)
+        self._threshold, self._table_in_volume, self._max_grasps = threshold, table_in_volume, max_grasps
+        self._hands = HandGeometries()
+
+    def propose(self, cloud: PointCloud, robot: Robot, table: Table | None, hand: str = "right") -> GraspProposals:
+        """Predict, select, adapt, test; see the interface. Raises ConfigError when the robot has no such hand.
+
+        A cloud without a viewpoint is taken to be seen from where the robot's first camera is at home.
+        """
+        geometry = self._hands.get(robot, hand)
+        if cloud.frame != "world":
+            return GraspProposals((), reason=f"the cloud is given in the frame '{cloud.frame}'; expected 'world'")
+        try:
+            check_cloud(cloud.points)
+            seen = PointCloud(cloud.points, viewpoint=_viewpoint(cloud, robot))
+            center = center_of(cloud.points, None if table is None else table.top)
+            # a left hand grasps the mirror image of what a right hand grasps
+            T_world_hand, quality = self.predict(_mirrored(seen) if hand == "left" else seen, table)
+        except DataError as error:
+            return GraspProposals((), reason=str(error))
+        if len(quality) == 0:
+            return GraspProposals((), center, f"no voxel has a quality of {self._threshold} or more")
+        if hand == "left":
+            T_world_hand = _MIRROR @ T_world_hand @ _FLIP
+        free = geometry.occupancy.count(T_world_hand, thin(cloud.points, CLOUD_POINTS)) <= MAX_TOUCHED
+        if not free.any():
+            return GraspProposals((), center, f"at all {len(free)} poses found the open hand meets points of the cloud")
+        tries = [Grasp(T_world_hand[i], center, float(quality[i]), NAME, hand) for i in np.flatnonzero(free)]
+        grasps = Reach(robot, geometry, table, posture_weight=0.0).choose(tries, self._max_grasps)
+        if not grasps:
+            return GraspProposals((), center, f"the {hand} arm reaches none of {len(tries)} poses found")
+        return GraspProposals(grasps, center)
+
+    def predict(self, cloud: PointCloud, table: Table | None) -> tuple[FloatArray, FloatArray]:
+        """Return poses (C, 4, 4) of a right hand, world, and qualities (C,), best first, before any test.
+
+        Args:
+            cloud: With its viewpoint, world frame.
+            table: The cube stands on it; without one, on the lowest point.
+        """
+        top = None if table is None else table.top
+        center = center_of(cloud.points, top)
+        volume = Volume.around(center, float(cloud.points[:, 2].min()) if top is None else top)
+        tsdf = volume.tsdf((cloud,), top if self._table_in_volume else None)
+        with torch.inference_mode():
+            quality, rotation, width = self._network(torch.from_numpy(tsdf)[None, None])
+        found = select(
+            tsdf,
+            quality[0, 0].numpy(),
+            rotation[0].numpy(),
+            width[0, 0].numpy(),
+            threshold=self._threshold,
+            widths=WIDTHS if self._meaning.pose == GRIPPER else None,
+        )
+        return hand_poses(found, volume, self._meaning.pose)
+
+    @classmethod
+    def train(cls, run_dir: Path, seed: int, minutes: float, progress: Callable[[float, str], None]) -> None:
+        """Make the shipped weights: trials in simulation, then gradient steps (see `training`)."""
+        from icub_grasp_generators.vgn.training import train
+
+        train(run_dir, seed, minutes, progress)
+
+
+def _viewpoint(cloud: PointCloud, robot: Robot) -> FloatArray:
+    """Return where the cloud was seen from; without a viewpoint, on the line to the robot's first camera at home."""
+    if cloud.viewpoint is not None:
+        return cloud.viewpoint
+    middle = cloud.points.mean(axis=0)
+    away = np.array([0.0, 0.0, 1.0])
+    cameras = robot.description.cameras
+    if cameras:
+        away = robot.forward_kinematics(robot.description.home_q, cameras[0].link)[:3, 3] - middle
+        away[2] = max(float(away[2]), 0.1)
+    return np.asarray(middle + _FIELD * away / np.linalg.norm(away))
+
+
+def _mirrored(cloud: PointCloud) -> PointCloud:
+    assert cloud.viewpoint is not None
+    return PointCloud(cloud.points @ _MIRROR[:3, :3], viewpoint=_MIRROR[:3, :3] @ cloud.viewpoint)
