@@ -105,6 +105,7 @@ def evaluate(
     *,
     recorder: StepRecorder | None = None,
     progress: Progress | None = None,
+    first: int = 0,
 ) -> EpisodeResults:
     """Run a policy deterministically for a number of episodes.
 
@@ -118,12 +119,13 @@ def evaluate(
         seed: Of the starts.
         recorder: Sees every step.
         progress: Told about finished episodes.
+        first: Number of the first episode, for an evaluation done in parts.
     """
     if episodes < 1:
         raise ConfigError(f"evaluation of {episodes} episodes; expected at least 1")
 
     def start_of(world: int, episode: int) -> StartState:
-        return env.batch.tasks[world].prepare(np.random.default_rng([seed, episode]))
+        return env.batch.tasks[world].prepare(np.random.default_rng([seed, first + episode]))
 
     redraws_before = _redraws(env)
     results = run_episodes(policy, env, episodes, start_of, recorder=recorder, progress=progress)

@@ -23,6 +23,7 @@ class EndReason(IntEnum):
     NOT_A_NUMBER = 7
     DROPPED_CONTACTS = 8
     EXPLODING_VELOCITY = 9
+    WORKER_LOST = 10
 
 
 FIRST_FAULT = EndReason.IK_FAILURE
