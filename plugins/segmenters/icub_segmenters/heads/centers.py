@@ -23,11 +23,11 @@ def uniform_centers(n: int, count: int, generator: torch.Generator) -> torch.Ten
 
 
 def balanced_centers(Y: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:
-    """Choose up to count / 2 positives, evenly over the problems, and fill up with negatives.
+    """Choose up to count x t / (t + 1) positives, evenly over the t problems, and fill up with negatives.
 
-    For one problem this is min(|P|, M / 2) positives and the rest negatives (thesis 5.3), drawn without replacement:
-    the released code draws with replacement and so wastes centres on duplicates. Where negatives are too few,
-    positives fill up.
+    Background counts as one more class. For one problem this is min(|P|, M / 2) positives and the rest negatives
+    (thesis 5.3), drawn without replacement: the released code draws with replacement and so wastes centres on
+    duplicates. Where negatives are too few, positives fill up.
 
     Args:
         Y: (n, t) targets; above 0 is positive.
@@ -37,7 +37,7 @@ def balanced_centers(Y: torch.Tensor, count: int, generator: torch.Generator) ->
     Returns:
         (min(n, count),) distinct indices, ascending.
     """
-    n = len(Y)
+    n, t = Y.shape
     if n <= count:
         return torch.arange(n)
     order = torch.randperm(n, generator=generator)
@@ -47,6 +47,6 @@ def balanced_centers(Y: torch.Tensor, count: int, generator: torch.Generator) ->
     is_positive = positive.any(dim=1)
     positives = order[is_positive][torch.argsort(turn[is_positive], stable=True)]
     negatives = order[~is_positive]
-    wanted_positives = max(min(len(positives), count // 2), count - len(negatives))
+    wanted_positives = max(min(len(positives), count * t // (t + 1)), count - len(negatives))
     chosen = torch.cat([positives[:wanted_positives], negatives[: count - wanted_positives]])
     return chosen.sort().values

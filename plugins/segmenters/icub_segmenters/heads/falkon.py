@@ -46,7 +46,7 @@ class Falkon(OnlineHead):
             sigma: Width of the kernel.
             lam: Regulariser lambda; it is multiplied by the number of samples.
             centers: Number M of Nystrom centres; all samples where there are fewer.
-            selection: ``"uniform"``, or ``"balanced"``: up to half of the centres positives (thesis 5.3).
+            selection: ``"uniform"``, or ``"balanced"``: evenly over the classes and background (thesis 5.3).
             solver: ``"direct"`` (Cholesky), ``"conjugate_gradients"``, or ``"auto"``: what costs less.
             seed: Decides the centres.
             device: Where to compute, such as ``"cpu"`` or ``"cuda"``.

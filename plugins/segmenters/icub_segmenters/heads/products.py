@@ -33,13 +33,14 @@ def onednn_is_better() -> bool:
     generator = torch.Generator().manual_seed(0)
     A, B = torch.randn(256, 256, generator=generator), torch.randn(256, 256, generator=generator)
     exact = A.double() @ B.double()
-    with _precision("medium"):
+    with product_precision("medium"):
         error = torch.linalg.norm((A @ B).double() - exact) / torch.linalg.norm(exact)
     return bool(error < PROBE_ACCURACY)
 
 
 @contextlib.contextmanager
-def _precision(name: str) -> Iterator[None]:
+def product_precision(name: str) -> Iterator[None]:
+    """Within this context torch's float32 matmul precision is `name`: ``"highest"``, ``"high"`` or ``"medium"``."""
     before = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision(name)
     try:
@@ -55,5 +56,5 @@ def fast_products(device: torch.device | str = "cpu") -> Iterator[None]:
     On a GPU TensorFloat-32 is off: kernel distances cannot bear its 10 bits.
     """
     name = "medium" if torch.device(device).type == "cpu" and onednn_is_better() else "highest"
-    with _precision(name), torch.no_grad():
+    with product_precision(name), torch.no_grad():
         yield
