@@ -114,7 +114,8 @@ class GraspEnv(EnvBase):
         result = self.batch.step(tensordict["action"].detach().numpy(), active)
         if self._visual is not None:
             for world in range(len(self.batch)):
-                self._visual.push(world, self._picture(world))
+                if active is None or active[world]:
+                    self._visual.push(world, self._picture(world))
         reason = result.reason
         terminated = (reason == EndReason.SUCCESS) | (reason == EndReason.MOVED)
         done = reason != EndReason.RUNNING

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from icub_core.interfaces.feature_extractor import FeatureExtractor
+
 HISTORY = 3
 
 
@@ -22,6 +24,28 @@ class VisualEncoder(ABC):
     @abstractmethod
     def encode(self, rgb: NDArray[np.uint8]) -> torch.Tensor:
         """Encode a picture (H, W, 3) uint8: (F,) float32."""
+
+
+class PictureEncoder(VisualEncoder):
+    """Describes the whole picture as one region of a feature extractor, scaled to entries near the size of 1."""
+
+    def __init__(self, extractor: FeatureExtractor) -> None:
+        """Encode with any feature extractor plugin."""
+        self._extractor = extractor
+
+    @property
+    def size(self) -> int:
+        """Length of the extractor's description of a region."""
+        return self._extractor.region_dim
+
+    def encode(self, rgb: NDArray[np.uint8]) -> torch.Tensor:
+        """Encode a picture (H, W, 3) uint8: (region_dim,) float32, of root mean square 1."""
+        height, width = rgb.shape[:2]
+        with torch.no_grad():
+            image = self._extractor.extract(rgb)
+            whole = torch.tensor([[0.0, 0.0, float(width), float(height)]])
+            described = self._extractor.region_features(image, whole)[0].float().cpu()
+        return described / described.square().mean().sqrt().clamp_min(1e-6)
 
 
 def flare(features: torch.Tensor) -> torch.Tensor:

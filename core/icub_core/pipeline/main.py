@@ -14,6 +14,7 @@ from icub_core.config.settings import build_scene, to_dataclass
 from icub_core.errors import ConfigError
 from icub_core.grasping.env import GraspEnv
 from icub_core.grasping.task import GraspTask
+from icub_core.grasping.visual import PictureEncoder
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.pipeline import grasping, seeing
 from icub_core.pipeline.context import RunContext
@@ -115,4 +116,6 @@ def grasp_env(
         simulator.load(robot.description, scene)
         world_seed = seed + world
         tasks.append(GraspTask(simulator, robot, generator, [target], masks=masks, settings=task, seed=world_seed))
-    return GraspEnv(tasks, pool_size=settings.grasp.starts, threads=settings.grasp.threads, seed=seed)
+    encoder = PictureEncoder(plugins.get("feature_extractor")) if settings.grasp.visual else None
+    starts, threads = settings.grasp.starts, settings.grasp.threads
+    return GraspEnv(tasks, pool_size=starts, threads=threads, encoder=encoder, seed=seed)

@@ -50,6 +50,7 @@ class GraspSettings:
         worlds: Simulated worlds side by side.
         starts: Planned starts that each world keeps while a policy learns; evaluation always plans afresh.
         threads: Threads that step physics.
+        visual: Let policies see the head camera's picture, as the chosen feature extractor describes it.
     """
 
     target: str = "006_mustard_bottle"
@@ -58,6 +59,7 @@ class GraspSettings:
     worlds: int = 8
     starts: int = 24
     threads: int = 2
+    visual: bool = False
 
 
 @dataclass

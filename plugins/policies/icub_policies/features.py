@@ -10,6 +10,7 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDictBase
 
+from icub_core.errors import ConfigError
 from icub_core.grasping.spaces import FINGERS, HAND_POSE, OBJECT_CENTER, TOUCH, VISUAL
 
 WORKSPACE_CENTER = (-0.35, 0.0, 1.0)
@@ -20,10 +21,32 @@ FINGER_RANGES = (1.05, 1.57, 1.57, 2.97, 1.57, 2.97, 1.57, 2.97, 4.36)
 """Travel of the nine finger actuators, rad."""
 
 PROPRIOCEPTIVE_SIZE = 3 + 3 + 3 + 6 + len(FINGER_RANGES) + 5
+STACK = 5
+"""Vectors that `flare` makes of three pictures."""
 
 
-def features(observation: TensorDictBase) -> torch.Tensor:
-    """Return the network input (B, 29) float32 of a batch of observations, or (B, 29 + 5 F) with a visual part."""
+def visual_size(inputs: int) -> int:
+    """Return F, the features of one picture, of networks with so many inputs; 0 for those that see no picture."""
+    return (inputs - PROPRIOCEPTIVE_SIZE) // STACK
+
+
+def features(observation: TensorDictBase, inputs: int | None = None) -> torch.Tensor:
+    """Return the network input (B, 29) float32 of a batch of observations, or (B, 29 + 5 F) with a visual part.
+
+    Args:
+        observation: Of the task.
+        inputs: What the network takes; a network that sees no picture gets none. None: everything there is.
+
+    Raises:
+        ConfigError: The network sees pictures and the observation has none, or others.
+    """
+    pictures = observation[VISUAL] if VISUAL in observation.keys() and inputs != PROPRIOCEPTIVE_SIZE else None
+    there = PROPRIOCEPTIVE_SIZE + (0 if pictures is None else pictures.shape[1])
+    if inputs is not None and inputs != there:
+        raise ConfigError(
+            f"the policy sees pictures of {visual_size(inputs)} features, the task offers {visual_size(there)}; "
+            "expected pipeline.grasp.visual and the feature extractor with which the policy learned"
+        )
     pose, center = observation[HAND_POSE], observation[OBJECT_CENTER]
     c, s = torch.cos(pose[:, 3:]), torch.sin(pose[:, 3:])
     cy, cp, cr = c.unbind(1)
@@ -43,6 +66,6 @@ def features(observation: TensorDictBase) -> torch.Tensor:
         observation[FINGERS] / pose.new_tensor(FINGER_RANGES) * 2 - 1,
         observation[TOUCH],
     ]
-    if VISUAL in observation.keys():
-        parts.append(observation[VISUAL])
+    if pictures is not None:
+        parts.append(pictures)
     return torch.cat(parts, dim=1)

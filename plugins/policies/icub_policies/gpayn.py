@@ -15,12 +15,11 @@ from icub_core.interfaces.policy import LearnReport, Policy, Progress
 from icub_policies.checkpoint import read_tensors, write_tensors
 from icub_policies.demonstrations import Demonstrations
 from icub_policies.features import PROPRIOCEPTIVE_SIZE, features
-from icub_policies.replay import Replay
 from icub_policies.sac import Sac, SacSettings
 from icub_policies.training import Trainer, TrainingSettings, demonstrate
+from icub_policies.visual import REPLAY_STEPS, for_weights, memory, seeing
 
 SHIPPED = ("base_gpayn",)
-REPLAY_STEPS = 1_000_000
 DEMONSTRATION_STEPS = 300_000
 """Most control steps of all worlds together that are kept."""
 IMITATION_UPDATES = 4_000
@@ -89,14 +88,13 @@ class Gpayn(Policy):
     def act(self, observation: TensorDictBase) -> torch.Tensor:
         """Return the most likely actions (B, 15)."""
         with torch.no_grad():
-            return self.sac.actor.best(features(observation))
+            return self.sac.actor.best(features(observation, self.sac.states))
 
     def learn(self, env: GraspEnv, run_dir: Path, progress: Progress) -> LearnReport:
         """Collect demonstrations, then learn; an interrupted run in the same folder continues."""
-        worlds = len(env.batch)
-        sizes = (PROPRIOCEPTIVE_SIZE, ACTION_SIZE)
-        shown = Replay(DEMONSTRATION_STEPS // worlds, worlds, *sizes)
-        replay = Replay(REPLAY_STEPS // worlds, worlds, *sizes)
+        self.sac = seeing(self.sac, env)
+        shown = memory(env, self.sac.states, DEMONSTRATION_STEPS)
+        replay = memory(env, self.sac.states, REPLAY_STEPS)
         trainer = Trainer(
             env, self.sac, replay, self, self.settings, run_dir,
             exports=self.exports, demonstrations=shown, progress=progress,
@@ -120,4 +118,6 @@ class Gpayn(Policy):
 
     def load(self, path: Path) -> None:
         """Read what `save` wrote."""
-        self.sac.load_weights(read_tensors(path)[0], path)
+        tensors, _ = read_tensors(path)
+        self.sac = for_weights(self.sac, tensors, path)
+        self.sac.load_weights(tensors, path)

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import torch
 
+from icub_core.grasping.visual import HISTORY, flare
+from icub_policies.features import STACK
+
 RUNNING, TERMINAL, CUT = 0, 1, 2
 """How a stored step went on: normally; into a terminal state; or not to be learned from (a truncation or a fault), then
 its observation still serves as the state that the steps before it bootstrap from."""
@@ -36,16 +39,20 @@ class Batch:
 class Replay:
     """Ring of the last rows of N worlds.
 
+    Of a visual part only the newest picture of a step is kept; the stack of three is made again when a step is drawn,
+    a fifth of the memory.
+
     Args:
         rows: Steps kept of every world.
         worlds: N.
         state, action: Sizes.
         base: Whether to keep the base policy's action beside the learned one.
+        visual: F when the last 5 F entries of a state are the stacked features of three pictures.
     """
 
-    def __init__(self, rows: int, worlds: int, state: int, action: int, base: bool = False) -> None:
-        self._rows, self._worlds = rows, worlds
-        self.state = torch.zeros(rows, worlds, state)
+    def __init__(self, rows: int, worlds: int, state: int, action: int, base: bool = False, visual: int = 0) -> None:
+        self._rows, self._worlds, self._visual = rows, worlds, visual
+        self.state = torch.zeros(rows, worlds, state - (STACK - 1) * visual)
         self.action = torch.zeros(rows, worlds, action)
         self.base = torch.zeros(rows, worlds, action if base else 0)
         self.reward = torch.zeros(rows, worlds)
@@ -66,7 +73,7 @@ class Replay:
         """Append one step of all worlds: (N, d), (N, a), (N,), (N,) codes, (N, a)."""
         row = self.added % self._rows
         usable = (end != CUT)[:, None]
-        self.state[row] = state
+        self.state[row] = self._newest(state)
         self.action[row] = action * usable
         self.reward[row] = reward * usable[:, 0]
         self.end[row] = end
@@ -76,11 +83,13 @@ class Replay:
 
     def ready(self, steps: int) -> bool:
         """Say whether windows of `steps` steps can be drawn."""
-        return self.added > steps
+        return self.added > steps + (HISTORY if self._visual else 0)
 
     def sample(self, count: int, steps: int, gamma: float, generator: torch.Generator) -> Batch:
         """Draw `count` windows of up to `steps` steps uniformly."""
         oldest = max(0, self.added - self._rows)
+        if self._visual and oldest:
+            oldest += HISTORY - 1  # the pictures before these steps are overwritten
         starts = torch.randint(oldest, self.added - steps, (count,), generator=generator)
         worlds = torch.randint(self._worlds, (count,), generator=generator)
         return self.windows(starts, worlds, steps, gamma)
@@ -98,15 +107,36 @@ class Replay:
         terminal = (before & (ends == TERMINAL)).any(1)
         first, last = rows[:, 0], (starts + length) % self._rows
         return Batch(
-            state=self.state[first, worlds],
+            state=self._states(starts, worlds),
             action=self.action[first, worlds],
             base=self.base[first, worlds],
             reward=reward,
-            next_state=self.state[last, worlds],
+            next_state=self._states(starts + length, worlds),
             next_base=self.base[last, worlds],
             discount=torch.where(terminal, 0.0, gamma**length),
             weight=(length > 0).float(),
         )
+
+    def _newest(self, state: torch.Tensor) -> torch.Tensor:
+        """Leave out of states (N, d) what older rows know."""
+        if not self._visual:
+            return state
+        return torch.cat([state[:, : -STACK * self._visual], state[:, -self._visual :]], dim=1)
+
+    def _states(self, times: torch.Tensor, worlds: torch.Tensor) -> torch.Tensor:
+        """Return the states (B, d) at `times`, counted in rows from the first ever added."""
+        now = self.state[times % self._rows, worlds]
+        if not self._visual:
+            return now
+        older = self._before(times, worlds)
+        oldest = self._before(older, worlds)
+        pictures = [self.state[t % self._rows, worlds, -self._visual :] for t in (oldest, older, times)]
+        return torch.cat([now[:, : -self._visual], flare(torch.stack(pictures, dim=1))], dim=1)
+
+    def _before(self, times: torch.Tensor, worlds: torch.Tensor) -> torch.Tensor:
+        """Return the step before each within its episode; an episode's first step is its own."""
+        running = self.end[(times - 1) % self._rows, worlds] == RUNNING
+        return torch.where(running & (times > 0), times - 1, times)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Return the filled rows and the count."""

@@ -12,12 +12,12 @@ from icub_core.grasping.env import GraspEnv
 from icub_core.grasping.spaces import ACTION_SIZE
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
 from icub_policies.checkpoint import load_into, read_tensors, write_tensors
-from icub_policies.features import PROPRIOCEPTIVE_SIZE, features
-from icub_policies.gpayn import REPLAY_STEPS, weights_path
+from icub_policies.features import features
+from icub_policies.gpayn import weights_path
 from icub_policies.networks import Actor
-from icub_policies.replay import Replay
 from icub_policies.sac import Sac, SacSettings
 from icub_policies.training import Trainer, TrainingSettings
+from icub_policies.visual import REPLAY_STEPS, for_weights, memory, seeing
 
 ENTROPY_COEFFICIENT = 0.01
 """Where the coefficient starts, in units of the task's reward (thesis table 13.1)."""
@@ -64,14 +64,14 @@ class Resprect(Policy):
         path = weights_path(base)
         tensors, _ = read_tensors(path)
         try:
-            hidden = int(tensors["actor.layer1.weight"].shape[0])
+            hidden, inputs = tensors["actor.layer1.weight"].shape
         except KeyError:
             raise CheckpointError(f"{path} holds no base policy; expected a file written by gpayn") from None
-        self.base = Actor(PROPRIOCEPTIVE_SIZE, ACTION_SIZE, hidden).requires_grad_(False)
+        self.base = Actor(inputs, ACTION_SIZE, hidden).requires_grad_(False)
         load_into(self.base, tensors, "actor.", path)
         scale = SacSettings().reward_scale
         settings = SacSettings(hidden=hidden, alpha=ENTROPY_COEFFICIENT * scale, learning_rate=1e-4, caution=CAUTION)
-        self.sac = Sac(PROPRIOCEPTIVE_SIZE, ACTION_SIZE, settings, residual=True, seed=seed)
+        self.sac = Sac(inputs, ACTION_SIZE, settings, residual=True, seed=seed)
         self.sac.load_critics(tensors, path)
         self.settings = TrainingSettings(
             seconds=seconds,
@@ -85,14 +85,14 @@ class Resprect(Policy):
     def act(self, observation: TensorDictBase) -> torch.Tensor:
         """Return the base policy's action plus the most likely residual (B, 15), clipped to [-1, 1]."""
         with torch.no_grad():
-            state = features(observation)
-            base = self.base.best(state)
+            state = features(observation, self.sac.states)
+            base = self._base_action(state)
             return self.sac.total(self.sac.actor.best(self.sac.actor_input(state, base)), base)
 
     def learn(self, env: GraspEnv, run_dir: Path, progress: Progress) -> LearnReport:
         """Learn the residual for the objects of `env`; an interrupted run in the same folder continues."""
-        worlds = len(env.batch)
-        replay = Replay(REPLAY_STEPS // worlds, worlds, PROPRIOCEPTIVE_SIZE, ACTION_SIZE, base=True)
+        self.sac = seeing(self.sac, env)
+        replay = memory(env, self.sac.states, REPLAY_STEPS, base=True)
         trainer = Trainer(
             env, self.sac, replay, self, self.settings, run_dir, base=self._base_action, progress=progress
         )  # fmt: skip
@@ -101,7 +101,8 @@ class Resprect(Policy):
 
     def _base_action(self, state: torch.Tensor) -> torch.Tensor:
         with torch.no_grad():
-            return self.base.best(state)
+            # a base policy that never saw a picture is not shown one
+            return self.base.best(state[:, : self.base.layer1.in_features])
 
     def save(self, path: Path) -> None:
         """Write the base policy and what was learned."""
@@ -111,5 +112,6 @@ class Resprect(Policy):
     def load(self, path: Path) -> None:
         """Read what `save` wrote."""
         tensors, _ = read_tensors(path)
+        self.sac = for_weights(self.sac, tensors, path)
         load_into(self.base, tensors, "base.", path)
         self.sac.load_weights(tensors, path)

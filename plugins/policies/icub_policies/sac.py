@@ -55,6 +55,22 @@ class SacSettings:
     caution: float = 0.0
 
 
+def widened_weights(tensors: dict[str, torch.Tensor], old: int, new: int) -> dict[str, torch.Tensor]:
+    """Return the weights of networks of `old` state entries for `new` ones: rows of zeros behind the old ones' rows."""
+    wider = dict(tensors)
+    for name in ("critics.weight1", "targets.weight1"):
+        if name in tensors:
+            wider[name] = _with_zero_rows(tensors[name], old, new - old)
+    if "actor.layer1.weight" in tensors:
+        wider["actor.layer1.weight"] = _with_zero_rows(tensors["actor.layer1.weight"].T, old, new - old).T.contiguous()
+    return wider
+
+
+def _with_zero_rows(weight: torch.Tensor, position: int, count: int) -> torch.Tensor:
+    """Insert rows of zeros: what follows the state (a base policy's or the judged action) stays behind it."""
+    return torch.cat([weight[:position], weight.new_zeros(count, weight.shape[1]), weight[position:]])
+
+
 class Sac:
     """Networks, optimisers and one update.
 
@@ -78,11 +94,22 @@ class Sac:
         self.log_alpha = torch.tensor(settings.alpha).log().requires_grad_()
         self.generator = torch.Generator().manual_seed(seed)
         self.settings, self.residual, self._actions = settings, residual, actions
+        self.states, self.seed = states, seed
         rate, critic_rate = settings.learning_rate, settings.critic_learning_rate
         self.actor_optimiser = torch.optim.Adam(self.actor.parameters(), lr=rate, fused=True)
         self.critic_optimiser = torch.optim.Adam(self.critics.parameters(), lr=critic_rate, fused=True)
         self.alpha_optimiser = torch.optim.Adam([self.log_alpha], lr=rate)
         self.updates = 0
+
+    def widened(self, states: int, path: Path) -> Sac:
+        """Return a learner that sees `states` entries, the new ones behind the old, and that computes the same.
+
+        Weights of new entries start at 0: what they say counts once something was learned from them. `path` is named
+        if the learner cannot be widened.
+        """
+        wider = Sac(states, self._actions, self.settings, self.residual, self.seed)
+        wider.load_weights(widened_weights(self.weights(), self.states, states), path)
+        return wider
 
     def noise(self, count: int) -> torch.Tensor:
         """Draw (count, a) standard normal numbers from the learner's own stream."""

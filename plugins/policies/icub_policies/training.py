@@ -274,7 +274,7 @@ class Trainer:
     def _evaluate(self) -> None:
         count = self._count
         count.next_evaluation = count.env_steps + self._settings.evaluate_every
-        kept = self._env.batch.state()
+        arrays, texts = self._env.save()
         ends = self._env.batch.firewall.ends.copy()
         worlds = len(self._env.batch)
         results = run_episodes(
@@ -283,7 +283,7 @@ class Trainer:
             self._settings.evaluation_episodes,
             lambda world, episode: self._evaluation_starts[world][episode // worlds],
         )
-        self._env.batch.restore(kept)
+        self._env.restore(arrays, texts)
         self._env.batch.firewall.ends = ends
         score, mean_return = results.success_rate, float(results.returns.mean())
         log.info(
