@@ -3,9 +3,9 @@
     python benchmarks/grasping.py
     python benchmarks/grasping.py --only resprect --objects 003_cracker_box --seconds 150
 
-`demonstrations`: the scripted teacher on sugar box, mustard bottle and potted meat can. `resprect`: the shipped base
-policy and what RESPRECT makes of it within its budget, on the same test starts, which neither learning nor the choice
-of the best residual has seen.
+`demonstrations`: the scripted teacher on sugar box, mustard bottle and potted meat can. `base`: the shipped base policy
+on every object. `resprect`: that policy and what RESPRECT makes of it within its budget, on the same test starts, which
+neither learning nor the choice of the best residual has seen.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from icub_core.evaluation.results import Figure, write_results
 from icub_core.grasping.env import GraspEnv
 from icub_core.grasping.evaluation import EpisodeResults, merge, paired_gain, run_episodes
 from icub_core.grasping.task import GraspTask, StartState
-from icub_core.interfaces.policy import Policy
+from icub_core.interfaces.policy import LearnReport, Policy
 from icub_core.scene import Scene
 
 RESULTS = Path(__file__).resolve().parent / "results" / "grasping.json"
@@ -108,40 +108,66 @@ def demonstrations(options: argparse.Namespace, bar: Progress) -> dict[str, Figu
     return figures
 
 
-def resprect(options: argparse.Namespace, bar: Progress) -> dict[str, Figure]:
-    """Measure base policy and RESPRECT on the same starts of each hard object."""
-    figures, before, after = {}, [], []
-    for name in options.objects or HARD:
+def base(options: argparse.Namespace, bar: Progress) -> dict[str, Figure]:
+    """Measure the shipped base policy on every object: where it stays under 0.9 there is something to gain."""
+    figures = {}
+    for name in options.objects or registry.build("objects", "ycb_primitives").names:
         env = build_env(name, options.worlds, options.threads, options.seed)
-        policy = registry.build(
-            "policy", {"plugin": "resprect", "base": BASE, "seconds": options.seconds, "seed": options.seed}
-        )
-        with tempfile.TemporaryDirectory() as folder:
-            report = policy.learn(env, Path(folder), shown_in(bar, f"resprect learns {name}"))
         tests = Tests(env, options.episodes, bar)
-        base = tests(registry.build("policy", {"plugin": "gpayn", "weights": BASE}), f"base, {name}")
-        learned = tests(policy, f"resprect, {name}")
-        gain, interval = paired_gain(learned, base)
-        figures |= {
-            f"resprect.base_success_rate.{name}": rate(base),
-            f"resprect.success_rate.{name}": rate(learned),
-            f"resprect.gain.{name}": Figure(gain, "1", interval, len(base)),
-            f"resprect.learn_seconds.{name}": Figure(report.seconds, "s"),
-            f"resprect.learn_env_steps.{name}": Figure(report.env_steps, "1"),
-            f"resprect.learn_updates.{name}": Figure(report.updates, "1"),
-            f"resprect.base_steps.{name}": Figure(float(base.steps.mean()), "1", float(base.steps.std()), len(base)),
-            f"resprect.steps.{name}": Figure(float(learned.steps.mean()), "1", float(learned.steps.std()), len(base)),
-        }
-        before.append(base)
-        after.append(learned)
+        policy = registry.build("policy", {"plugin": "gpayn", "weights": BASE})
+        figures[f"base.success_rate.{name}"] = rate(tests(policy, f"base, {name}"))
         env.close()
+    return figures
+
+
+def resprect(options: argparse.Namespace, bar: Progress) -> dict[str, Figure]:
+    """Measure base policy and RESPRECT, learned with each seed, on the same starts of each hard object."""
+    figures: dict[str, Figure] = {}
+    before: list[EpisodeResults] = []
+    after: list[EpisodeResults] = []
+    for name in options.objects or HARD:
+        gains = []
+        for seed in options.learning_seeds:
+            frozen, learned, report = learn_and_test(name, seed, options, bar)
+            before.append(frozen)
+            after.append(learned)
+            gain, interval = paired_gain(learned, frozen)
+            gains.append(gain)
+            figures |= {
+                f"resprect.success_rate.{name}.seed{seed}": rate(learned),
+                f"resprect.gain.{name}.seed{seed}": Figure(gain, "1", interval, len(frozen)),
+                f"resprect.learn_seconds.{name}.seed{seed}": Figure(report.seconds, "s"),
+                f"resprect.learn_env_steps.{name}.seed{seed}": Figure(report.env_steps, "1"),
+                f"resprect.learn_updates.{name}.seed{seed}": Figure(report.updates, "1"),
+            }
+            bar.console.print(f"{name}, seed {seed}: {frozen.success_rate:.2f} to {learned.success_rate:.2f}")
+        spread = float(np.std(gains, ddof=1)) if len(gains) > 1 else None
+        figures[f"resprect.base_success_rate.{name}"] = rate(before[-1])
+        figures[f"resprect.gain.{name}"] = Figure(float(np.mean(gains)), "1", spread, len(gains))
     gain, interval = paired_gain(merge(after), merge(before))
     figures["resprect.gain"] = Figure(gain, "1", interval, sum(map(len, before)))
     figures["resprect.base_success_rate"], figures["resprect.success_rate"] = rate(merge(before)), rate(merge(after))
     return figures
 
 
-PARTS = {"demonstrations": demonstrations, "resprect": resprect}
+def learn_and_test(
+    name: str, seed: int, options: argparse.Namespace, bar: Progress
+) -> tuple[EpisodeResults, EpisodeResults, LearnReport]:
+    """Return what the frozen base and the learned policy reach on the same starts, and how learning went."""
+    env = build_env(name, options.worlds, options.threads, seed)
+    budget = {"seconds": options.seconds} if options.env_steps is None else {"env_steps": options.env_steps}
+    budget = {"seconds": None, **budget}
+    policy = registry.build("policy", {"plugin": "resprect", "base": BASE, "seed": seed, **budget})
+    with tempfile.TemporaryDirectory() as folder:
+        report = policy.learn(env, Path(folder), shown_in(bar, f"resprect learns {name}, seed {seed}"))
+    tests = Tests(env, options.episodes, bar)
+    frozen = tests(registry.build("policy", {"plugin": "gpayn", "weights": BASE}), f"base, {name}")
+    learned = tests(policy, f"resprect, {name}, seed {seed}")
+    env.close()
+    return frozen, learned, report
+
+
+PARTS = {"demonstrations": demonstrations, "base": base, "resprect": resprect}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -153,6 +179,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--worlds", type=int, default=16)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=150.0, help="wall-clock budget of resprect")
+    parser.add_argument("--env-steps", type=int, help="budget of resprect in control steps instead: repeatable")
+    parser.add_argument("--learning-seeds", type=int, nargs="+", default=[0, 1, 2], help="of resprect")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--results", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
@@ -162,6 +190,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         with Progress(*Progress.get_default_columns(), TimeElapsedColumn()) as bar:
             figures = PARTS[name](options, bar)
         objects = f" --objects {' '.join(options.objects)}" if options.objects else ""
+        objects += f" --env-steps {options.env_steps}" if options.env_steps is not None else ""
         write_results(
             options.results, command=f"{command} --only {name}{objects}", seed=options.seed, figures=figures
         )  # fmt: skip
