@@ -24,13 +24,20 @@ def _own() -> list[PluginInfo]:
     return [plugin for plugin in every_plugin() if plugin.distribution.startswith("icub-kit ")]
 
 
+TRAINS_A_NETWORK = {"mask_rcnn"}
+"""Plugins whose every update trains a deep network."""
 HERE = [plugin for plugin in _own() if plugin.kind not in WITH_THEIR_DATA]
 
 
 @pytest.mark.parametrize(
     ("plugin", "check"),
     [
-        pytest.param(plugin, name, id=f"{plugin.kind}-{plugin.name}-{name.removeprefix('check_')}")
+        pytest.param(
+            plugin,
+            name,
+            id=f"{plugin.kind}-{plugin.name}-{name.removeprefix('check_')}",
+            marks=[pytest.mark.slow] if plugin.name in TRAINS_A_NETWORK else [],
+        )
         for plugin in HERE
         for name in checks(plugin.kind)
     ],

@@ -13,7 +13,7 @@ from torchvision.ops import box_iou
 from icub_core.errors import DataError
 from icub_segmenters.boxes import clip, decode, encode, iou, jittered, paired_iou
 from icub_segmenters.clutter import Compositor, Cutout, relit
-from icub_segmenters.detection import NEVER, BoxRegressors, Detections, OnlineDetector, suppressed
+from icub_segmenters.detection import NEVER, BoxRegressors, Detections, OnlineDetector, suppressed, voted
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.heads.linear import Linear
 from icub_segmenters.mask_geometry import boxes_of_masks, crop_masks, paste_masks
@@ -325,3 +325,19 @@ def test_relighting_stays_within_bytes():
     assert min(values) < 200
     assert max(values) == 255
     assert not math.isnan(sum(values))
+
+
+def test_suppressed_neighbours_of_the_same_class_vote_on_the_box():
+    boxes = torch.tensor([[10.0, 10, 50, 50], [12, 12, 52, 52], [14, 10, 54, 50], [80, 80, 99, 99]])
+    labels, scores = torch.tensor([0, 0, 1, 0]), torch.tensor([0.9, 0.9, 0.8, 0.1])
+    candidates = Detections(boxes, labels, scores)
+    kept = candidates.take(torch.tensor([0, 2, 3]))
+    result = voted(kept, candidates)
+    assert torch.allclose(result.boxes[0], torch.tensor([11.0, 11, 51, 51]))  # two equal votes
+    assert torch.allclose(result.boxes[1:], boxes[2:])  # another class and a loner have no other voters
+    assert torch.equal(result.scores, kept.scores)
+    weak = Detections(boxes, labels, torch.tensor([0.9, -0.6, 0.8, 0.1]))
+    assert (
+        voted(weak.take(torch.tensor([0])), weak).boxes - boxes[0]
+    ).abs().max() < 0.02  # a doubtful one has little say
+    assert len(voted(kept.take(torch.zeros(0, dtype=torch.int64)), candidates)) == 0

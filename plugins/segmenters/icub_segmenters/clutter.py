@@ -47,26 +47,41 @@ class Cutout:
 
 @dataclass(frozen=True, eq=False)
 class Composite:
-    """A made picture: rgb (H, W, 3) uint8 and what of the pasted objects is visible, (label, (H, W) bool) each."""
+    """A made picture.
+
+    Attributes:
+        rgb: (H, W, 3) uint8.
+        instances: What of the taught objects is visible, (label, (H, W) bool) each.
+        strangers: What of other objects is visible, (H, W) bool each: the negatives that matter.
+    """
 
     rgb: NDArray[np.uint8]
     instances: tuple[tuple[str, NDArray[np.bool_]], ...]
+    strangers: tuple[NDArray[np.bool_], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ClutterPicture:
+    """rgb (H, W, 3) uint8 and the number of the object at each pixel, objects (H, W) uint8, 0 for none."""
+
+    rgb: NDArray[np.uint8]
+    objects: NDArray[np.uint8]
 
 
 class Compositor:
     """Makes pictures of a taught object, and at times of others taught before, among clutter."""
 
-    def __init__(self, pictures: list[NDArray[np.uint8]], strangers: list[Cutout] | None = None) -> None:
-        """Take what taught objects are pasted among.
-
-        Args:
-            pictures: (H, W, 3) uint8; nothing that will be taught occurs in them.
-            strangers: Cut-outs of other objects, to lie beside and upon the taught ones.
-        """
+    def __init__(self, pictures: list[ClutterPicture]) -> None:
+        """Take pictures in which nothing that will be taught occurs; their objects are pasted, too."""
         if not pictures:
             raise DataError("there are no clutter pictures; expected at least one")
         self.pictures = pictures
-        self.strangers = strangers or []
+        self.strangers = [
+            Cutout.of("", picture.rgb, picture.objects == number)
+            for picture in pictures
+            for number in np.unique(picture.objects[picture.objects > 0])
+            if np.count_nonzero(picture.objects == number) >= SMALLEST_SIDE**2
+        ]
         self.remembered: dict[str, list[Cutout]] = {}
 
     @classmethod
@@ -79,19 +94,16 @@ class Compositor:
         files = sorted(p for p in folder.glob("*") if p.suffix.lower() in (".jpg", ".jpeg"))
         if not files:
             raise DataError(f"no JPEG picture in {folder}; expected pictures of clutter")
-        pictures, strangers = [], []
+        pictures = []
         for file in files:
-            picture = np.ascontiguousarray(_read(file, cv2.IMREAD_COLOR)[:, :, ::-1])
-            pictures.append(picture)
-            numbers = file.with_suffix(".png")
+            rgb = np.ascontiguousarray(_read(file, cv2.IMREAD_COLOR)[:, :, ::-1])
+            objects, numbers = np.zeros(rgb.shape[:2], np.uint8), file.with_suffix(".png")
             if numbers.exists():
                 objects = _read(numbers, cv2.IMREAD_GRAYSCALE)
-                if objects.shape != picture.shape[:2]:
-                    raise DataError(f"{numbers} is {objects.shape}; expected the picture's {picture.shape[:2]}")
-                for number in np.unique(objects[objects > 0]):
-                    if np.count_nonzero(objects == number) >= SMALLEST_SIDE**2:
-                        strangers.append(Cutout.of("", picture, objects == number))
-        return cls(pictures, strangers)
+                if objects.shape != rgb.shape[:2]:
+                    raise DataError(f"{numbers} is {objects.shape}; expected the picture's {rgb.shape[:2]}")
+            pictures.append(ClutterPicture(rgb, objects))
+        return cls(pictures)
 
     def remember(self, cutout: Cutout, rng: np.random.Generator) -> None:
         """Keep a cut-out for later pictures; of each label a few are kept at random."""
@@ -104,32 +116,40 @@ class Compositor:
     def compose(self, cutout: Cutout, size: tuple[int, int], rng: np.random.Generator) -> Composite:
         """Paste `cutout`, up to two other remembered objects and some strangers into a picture of (height, width)."""
         height, width = size
-        background = np.asarray(
-            cv2.resize(self.pictures[int(rng.integers(len(self.pictures)))], (width, height)), np.uint8
+        picture = self.pictures[int(rng.integers(len(self.pictures)))]
+        background = cv2.resize(picture.rgb, (width, height)).astype(np.uint8)
+        objects = cv2.resize(picture.objects, (width, height), interpolation=cv2.INTER_NEAREST)
+        if rng.random() < 0.5:
+            background, objects = background[:, ::-1], objects[:, ::-1]
+        canvas = relit(background, rng)
+        layers = [("", objects == number) for number in np.unique(objects[objects > 0])]
+        areas = [int(mask.sum()) for _, mask in layers]
+        for piece in self._drawn(cutout, rng):
+            canvas, mask = _paste(canvas, transformed(piece, size, rng), rng)
+            layers = [(label, seen & ~mask) for label, seen in layers] + [(piece.label, mask)]  # the newer is on top
+            areas.append(int(mask.sum()))
+        visible = [
+            (label, mask)
+            for (label, mask), area in zip(layers, areas, strict=True)
+            if mask.sum() >= max(VISIBLE_SHARE * area, SMALLEST_SIDE**2 / 2)
+        ]
+        return Composite(
+            canvas,
+            tuple((label, mask) for label, mask in visible if label),
+            tuple(mask for label, mask in visible if not label),
         )
-        canvas = relit(background if rng.random() < 0.5 else background[:, ::-1], rng)
-        others = [label for label in self.remembered if label != cutout.label]
+
+    def _drawn(self, cutout: Cutout, rng: np.random.Generator) -> list[Cutout]:
+        """Choose what is pasted with `cutout`, in the order of pasting."""
         drawn = [cutout]
+        others = [label for label in self.remembered if label != cutout.label]
         for label in rng.permutation(others)[: int(rng.integers(0, 3))]:
             drawn.append(self.remembered[label][int(rng.integers(len(self.remembered[label])))])
         if self.strangers:
-            for i in rng.integers(0, len(self.strangers), int(rng.integers(1, 4))):
+            for i in rng.integers(0, len(self.strangers), int(rng.integers(1, 5))):
                 stranger = self.strangers[i]
                 drawn.append(in_colours_of(cutout, stranger, rng) if rng.random() < LOOK_ALIKES else stranger)
-        labels: list[str] = []
-        seen: list[NDArray[np.bool_]] = []
-        areas: list[int] = []
-        for piece in (drawn[i] for i in rng.permutation(len(drawn))):
-            canvas, mask = _paste(canvas, transformed(piece, size, rng), rng)
-            seen = [earlier & ~mask for earlier in seen] + [mask]  # the newer object lies on top
-            labels.append(piece.label)
-            areas.append(int(mask.sum()))
-        shown = [
-            (label, mask)
-            for label, mask, area in zip(labels, seen, areas, strict=True)
-            if label and mask.sum() >= max(VISIBLE_SHARE * area, SMALLEST_SIDE**2 / 2)
-        ]
-        return Composite(canvas, tuple(shown))
+        return [drawn[i] for i in rng.permutation(len(drawn))]
 
 
 def _read(file: Path, flags: int) -> NDArray[np.uint8]:

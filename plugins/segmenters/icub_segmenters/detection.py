@@ -10,7 +10,7 @@ from torchvision.ops import batched_nms
 from icub_core.errors import CheckpointError, NotFittedError
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.online_head import OnlineHead
-from icub_segmenters.boxes import decode, encode, paired_iou
+from icub_segmenters.boxes import decode, encode, iou, paired_iou
 from icub_segmenters.heads.rls import Rls
 from icub_segmenters.minibootstrap import MakeHead, Minibootstrap
 from icub_segmenters.normalization import Normalization
@@ -23,6 +23,10 @@ NEVER = -2.0
 """Score of a class that cannot be recognised: below what any trained head gives to background."""
 BOX_PENALTY = 10.0
 """lambda of the box regressors on features of norm 20."""
+VOTE_IOU = 0.6
+"""Candidates of the same class that overlap a detection by more have a say in where it is."""
+VOTE_SHARPNESS = 4.0
+"""A vote weighs exp of this times its score."""
 TIGHT_IOU = 0.75
 """The second regressor learns from regions as close as the first one brings them."""
 
@@ -154,7 +158,8 @@ class OnlineDetector:
     def detect(self, extractor: FeatureExtractor, image: ImageFeatures, lowest_score: float) -> Detections:
         """Find the taught objects among an image's proposals.
 
-        Per class: refine boxes, drop those under `lowest_score`, suppress overlaps above 0.3; at most 100 remain.
+        Per class: refine boxes, drop those under `lowest_score`, suppress overlaps above 0.3, of which at most 100
+        remain, and let what was suppressed vote on the box.
         """
         if self.normalization is None:
             raise NotFittedError("the detector was asked to look before it was trained")
@@ -163,7 +168,7 @@ class OnlineDetector:
         scores = self.scores(X)
         rows, labels = torch.nonzero(scores > lowest_score, as_tuple=True)
         found = Detections(self.coarse.refine(X[rows], boxes[rows], labels, size), labels, scores[rows, labels])
-        found = suppressed(found)
+        found = voted(suppressed(found), found)
         if not self.repool or len(found) == 0:
             return found
         X = self.normalization(extractor.region_features(image, found.boxes).float().cpu())
@@ -212,3 +217,19 @@ def suppressed(found: Detections) -> Detections:
     """Keep what no better detection of the same class overlaps by more than 0.3; at most 100, best first."""
     kept = batched_nms(found.boxes, found.scores, found.labels, NMS_IOU)
     return found.take(kept[:MOST_DETECTIONS])
+
+
+def voted(kept: Detections, candidates: Detections) -> Detections:
+    """Average each box with the candidates of its class around it, itself among them; scores stay.
+
+    Source: box voting, Gidaris and Komodakis, Object detection via a multi-region and semantic segmentation-aware CNN
+    model, 2015, section 5; the weights are exponential here, since scores may be negative.
+    """
+    if len(kept) == 0:
+        return kept
+    has_vote = (iou(kept.boxes, candidates.boxes) > VOTE_IOU) & (kept.labels[:, None] == candidates.labels)
+    lead = candidates.scores - kept.scores[:, None]  # at most 0 for voters: the best of them was kept
+    weight = torch.where(has_vote, (VOTE_SHARPNESS * lead).clamp(max=0).exp(), 0.0)
+    total = weight.sum(dim=1, keepdim=True)
+    boxes = torch.where(total > 0, weight @ candidates.boxes / total.clamp(min=1e-9), kept.boxes)
+    return Detections(boxes, kept.labels, kept.scores)

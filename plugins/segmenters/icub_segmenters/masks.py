@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Protocol, runtime_checkable
 
 import torch
+from torch.nn import functional
 
 from icub_core.errors import CheckpointError, NotFittedError
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.heads.falkon import Falkon
+from icub_segmenters.heads.linear import Linear
 from icub_segmenters.mask_geometry import crop_masks
 from icub_segmenters.minibootstrap import MakeHead
 from icub_segmenters.normalization import Normalization
@@ -19,8 +21,9 @@ SAMPLING_FACTOR = 0.3
 """Share of a region's pixels that are kept, of the object's and of the others alike (the thesis's r)."""
 MOST_PIXELS = 16_000
 """Pixels a class is trained on at most, half of them the object's; more add time but no accuracy."""
-
-
+GRID = 14
+"""Cells a side in which pixels are classified, the thesis's s; a finer grid of the extractor is averaged down to it.
+A quarter of the work a frame; what the extractor's own masks show in finer detail is kept where both are combined."""
 MOST_CENTERS = 300
 """Pixels of 64 features need fewer centres than regions: 1000 were measured to be no better, and three times slower."""
 
@@ -60,8 +63,8 @@ class OnlineMasks:
         """Keep a share of the pixels of true boxes (n, 4) with masks (n, H, W) and classes (n,)."""
         if len(boxes) == 0:
             return
-        features = extractor.mask_features(image, boxes).float().cpu()  # (n, s, s, f)
-        inside = crop_masks(masks, boxes, extractor.mask_size) >= 0.5
+        features = pixel_features(extractor, image, boxes)
+        inside = crop_masks(masks, boxes, features.shape[1]) >= 0.5
         for pixels, of_object, label in zip(features, inside, labels.tolist(), strict=True):
             kinds = self.samples.setdefault(label, [[], []])
             for kind, chosen in zip(kinds, (of_object, ~of_object), strict=True):
@@ -99,17 +102,21 @@ class OnlineMasks:
         """
         if self._stale and not self.heads:
             raise NotFittedError("the mask classifiers were asked before they were trained")
-        side = extractor.mask_size
-        values = torch.ones(len(boxes), side, side)
+        size = (extractor.mask_size, extractor.mask_size)
         if len(boxes) == 0:
-            return values
-        features = extractor.mask_features(image, boxes).float().cpu()
+            return torch.ones(0, *size)
+        features = pixel_features(extractor, image, boxes)
+        values = torch.ones(features.shape[:3])
         for label in labels.unique().tolist():
             head, rows = self.heads.get(label), torch.nonzero(labels == label).flatten()
             if head is not None:
                 scores = head.decision_function(self.scales[label](features[rows].flatten(0, 2)))
-                values[rows] = (0.5 + 0.5 * scores).clamp(0, 1).reshape(len(rows), side, side).float()
-        return values
+                # log odds, or estimates of the targets +1 and -1
+                shares = scores.sigmoid() if isinstance(head, Linear) else (0.5 + 0.5 * scores).clamp(0, 1)
+                values[rows] = shares.reshape(values[rows].shape).float()
+        if values.shape[1:] == size:
+            return values
+        return functional.interpolate(values[:, None], size, mode="bilinear", align_corners=False)[:, 0]
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Return classifiers, scale and kept pixels, by dotted name."""
@@ -141,6 +148,14 @@ class OnlineMasks:
             raise CheckpointError(f"this is no mask classifiers' state: {error}") from error
         self.heads, self.scales, self.samples = heads, scales, samples
         self._stale.clear()
+
+
+def pixel_features(extractor: FeatureExtractor, image: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
+    """Describe the cells of boxes (n, 4): (n, s, s, mask_dim) on the CPU, s at most GRID."""
+    features = extractor.mask_features(image, boxes).float().cpu()
+    if extractor.mask_size <= GRID:
+        return features
+    return functional.adaptive_avg_pool2d(features.permute(0, 3, 1, 2), GRID).permute(0, 2, 3, 1).contiguous()
 
 
 def _thinned(chunks: list[torch.Tensor], most: int, generator: torch.Generator) -> torch.Tensor:

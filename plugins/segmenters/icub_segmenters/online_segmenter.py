@@ -23,6 +23,7 @@ from icub_core.interfaces.online_head import OnlineHead
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 from icub_segmenters.clutter import Compositor, Cutout
 from icub_segmenters.detection import Detections, OnlineDetector
+from icub_segmenters.lesson import Lesson, check_masks, stacked
 from icub_segmenters.mask_geometry import boxes_of_masks, paste_masks
 from icub_segmenters.masks import OnlineMasks, PretrainedMasks
 from icub_segmenters.minibootstrap import Minibootstrap
@@ -126,11 +127,7 @@ class OnlineSegmenter(Segmenter):
             DataError: A mask is empty or has another size than the image; nothing is kept of the frame.
         """
         size = frame.rgb.shape[:2]
-        for instance in instances:
-            if instance.mask.shape != size:
-                raise DataError(f"the mask of '{instance.label}' is {instance.mask.shape}; expected the image's {size}")
-            if not instance.mask.any():
-                raise DataError(f"the mask of '{instance.label}' is empty; expected at least one pixel")
+        check_masks(frame, instances)
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self._observed)
         rng = np.random.default_rng((self.seed, self._observed))
         self._learn_from(frame.rgb, [(i.label, i.mask) for i in instances], generator)
@@ -143,7 +140,7 @@ class OnlineSegmenter(Segmenter):
             cutout = Cutout.of(instance.label, frame.rgb, instance.mask)
             for _ in range(self.composites):
                 made = self._compositor.compose(cutout, (size[0], size[1]), rng)
-                self._learn_from(made.rgb, list(made.instances), generator)
+                self._learn_from(made.rgb, list(made.instances), generator, made.strangers)
             self._compositor.remember(cutout, rng)
 
     def update(self) -> UpdateReport:
@@ -157,17 +154,25 @@ class OnlineSegmenter(Segmenter):
             raise NotFittedError("there is nothing to learn: observe at least one frame with an instance first")
         # a function of what was observed and of nothing else, so that updates in between change nothing
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self._observed)
+        parts = self._train_heads(generator)
+        if self.rpn is not None:
+            with _timed(parts, "rpn"):
+                self.rpn.train(generator)
+        return self._report(start, parts)
+
+    def _train_heads(self, generator: torch.Generator) -> dict[str, float]:
+        """Train detector and masks on what is kept; return the seconds of each."""
         parts: dict[str, float] = {}
         with _timed(parts, "detection"):
             self.detector.train(self.store, len(self._labels), generator)
         if self.asks_online:
             with _timed(parts, "masks"):
                 self.masks.train(self.seed)
-        if self.rpn is not None:
-            with _timed(parts, "rpn"):
-                self.rpn.train(generator)
         self._trained = tuple(self._labels)
-        counts = torch.bincount(self.store.label[self.store.label >= 0], minlength=len(self._labels)).tolist()
+        return parts
+
+    def _report(self, start: float, parts: dict[str, float]) -> UpdateReport:
+        counts = torch.bincount(self.store.label[self.store.label >= 0], minlength=len(self._trained)).tolist()
         return UpdateReport(
             seconds=time.perf_counter() - start,
             parts=parts,
@@ -232,7 +237,7 @@ class OnlineSegmenter(Segmenter):
             part: {name[len(part) + 1 :]: t for name, t in tensors.items() if name.startswith(f"{part}.")}
             for part in ("detector", "masks", "store", "rpn")
         }
-        detector = OnlineDetector(
+        detector = type(self.detector)(
             self.detector.make_head, self.procedure, shared=self.detector.shared, repool=self.detector.repool
         )
         masks, store = OnlineMasks(self.masks.make_head), RegionStore(self.extractor.region_dim)
@@ -246,22 +251,45 @@ class OnlineSegmenter(Segmenter):
         self.detector, self.masks, self.store = detector, masks, store
         self._labels, self._trained, self._observed = labels, tuple(labels[:trained]), observed
 
-    def _learn_from(self, rgb: np.ndarray, instances: list[tuple[str, np.ndarray]], generator: torch.Generator) -> None:
-        """Keep regions and pixels of one picture with its (label, mask) pairs."""
-        with torch.no_grad():
-            image = self.extractor.extract(rgb)
-            masks = (
-                torch.from_numpy(np.stack([m for _, m in instances])) if instances else torch.zeros(0, *rgb.shape[:2])
-            )
-            boxes = boxes_of_masks(masks.bool(), torch.zeros(len(instances), 4))
-            numbers = torch.tensor([self._number(label) for label, _ in instances], dtype=torch.int64)
-            self.store.append(describe(self.extractor, image, boxes, numbers, generator))
-            if self.rpn is not None:
-                self.rpn.observe(self._cells(image), boxes, image.image_size, generator)
-            if self.asks_online:
-                self.masks.observe(self.extractor, image, boxes, masks, numbers, generator)
+    def _learn_from(
+        self,
+        rgb: np.ndarray,
+        instances: Sequence[tuple[str, np.ndarray]],
+        generator: torch.Generator,
+        strangers: Sequence[np.ndarray] = (),
+    ) -> None:
+        """Learn from one picture with its (label, mask) pairs and masks of other objects; all of it or nothing."""
+        known = list(self._labels)
+        masks, others = stacked([mask for _, mask in instances], rgb), stacked(strangers, rgb)
+        boxes = boxes_of_masks(masks, torch.zeros(len(masks), 4))
+        other_boxes = boxes_of_masks(others, torch.zeros(len(others), 4))
+        numbers = torch.tensor([self._number(label) for label, _ in instances], dtype=torch.int64)
+        try:
+            with torch.no_grad():
+                self._take(Lesson(rgb, masks, boxes, numbers, other_boxes), generator)
+        except DataError:
+            self._labels = known
+            raise
+
+    def _take(self, lesson: Lesson, generator: torch.Generator) -> None:
+        """Keep what a picture teaches, from one extraction of features."""
+        image = self.extractor.extract(lesson.rgb)
+        self._keep_regions(image, lesson, generator)
+        self._keep_cells(image, lesson, generator)
+
+    def _keep_regions(self, image: ImageFeatures, lesson: Lesson, generator: torch.Generator) -> None:
+        """Keep regions and pixels of a picture."""
+        regions = describe(self.extractor, image, lesson.boxes, lesson.numbers, generator, lesson.strangers)
+        self.store.append(regions)
+        if self.asks_online:
+            self.masks.observe(self.extractor, image, lesson.boxes, lesson.masks, lesson.numbers, generator)
         if int((self.store.near < 0).sum()) > SURPLUS * self.procedure.budget:
             thin_out(self.store, self.procedure.budget, generator)
+
+    def _keep_cells(self, image: ImageFeatures, lesson: Lesson, generator: torch.Generator) -> None:
+        """Keep cells of a picture, when regions are proposed on-line."""
+        if self.rpn is not None:
+            self.rpn.observe(self._cells(image), lesson.boxes, image.image_size, generator)
 
     def _proposed(self, image: ImageFeatures) -> ImageFeatures:
         """Replace the proposals of an image by those of the on-line network, if there is one."""

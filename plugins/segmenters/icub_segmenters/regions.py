@@ -15,6 +15,8 @@ NEGATIVE_IOU = 0.3
 """A region that overlaps every true box by less is a negative (thesis 11.3.2)."""
 JITTERED = 6
 """Boxes drawn around each true one: with the proposals they are the positives."""
+JITTERED_STRANGERS = 1
+"""Boxes drawn around each known other object."""
 KEPT_NEAR = 12
 """Regions an image contributes at most that overlap an object too little to be its positives and too much to be its
 negatives; they are other classes' negatives."""
@@ -51,9 +53,12 @@ def describe(
     truth: torch.Tensor,
     truth_label: torch.Tensor,
     generator: torch.Generator,
+    strangers: torch.Tensor | None = None,
 ) -> Regions:
     """Describe true boxes (m, 4), boxes drawn around them, and the network's proposals (thesis 11.3.2).
 
+    Boxes of other objects (k, 4), where they are known, are described too: what a stranger looks like when it is well
+    framed is what must not be taken for a taught object, and few proposals of a picture frame one.
     Of the proposals that are no positives a uniform choice is described; features of the others are not needed.
     """
     around = [jittered(box, JITTERED, POSITIVE_IOU, image.image_size, generator) for box in truth]
@@ -62,7 +67,9 @@ def describe(
     positive, between = label != BACKGROUND, (label == BACKGROUND) & (near != BACKGROUND)
     groups = ((positive, len(proposals)), (between, KEPT_NEAR), (near == BACKGROUND, KEPT_NEGATIVES))
     kept = torch.cat([sample(torch.nonzero(group).flatten(), most, generator) for group, most in groups])
-    boxes = torch.cat([truth, *around, proposals[kept]])
+    strangers = torch.zeros(0, 4) if strangers is None else strangers
+    around += [jittered(box, JITTERED_STRANGERS, POSITIVE_IOU, image.image_size, generator) for box in strangers]
+    boxes = torch.cat([truth, *around, strangers, proposals[kept]])
     label, near, targets = assign(boxes, truth, truth_label)
     features = extractor.region_features(image, boxes).float().cpu()
     return Regions(features, boxes, targets, label, near)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import CheckpointError, DataError, NotFittedError
 from icub_core.files import write_text_atomically
-from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
+from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures, RpnCells
 from icub_core.interfaces.online_head import OnlineHead
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 
@@ -68,6 +68,13 @@ class TinyFeatureExtractor(FeatureExtractor):
         y, x = torch.meshgrid(line, line, indexing="ij")
         place = torch.stack([x, y], dim=-1).expand(len(boxes), -1, -1, -1)
         return torch.cat([colours, place], dim=-1)
+
+    def rpn_cells(self, features: ImageFeatures) -> RpnCells:
+        """Return every window as a location of its own, with one anchor of its size."""
+        boxes = _windows(*features.image_size)
+        sizes = (boxes[:, 2] - boxes[:, 0]).round(decimals=2).unique(return_inverse=True)[1]
+        colours = self._crop(features.maps, boxes, GRID).flatten(1)
+        return RpnCells(colours, boxes[:, None], sizes[:, None])
 
     def _crop(self, image: torch.Tensor, boxes: torch.Tensor, size: int) -> torch.Tensor:
         """Sample boxes (N, 4) of an image (3, H, W) on a grid: (N, 3, size, size)."""

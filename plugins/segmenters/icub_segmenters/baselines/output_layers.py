@@ -16,10 +16,12 @@ from torchvision.ops import batched_nms
 
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import CheckpointError, ConfigError, NotFittedError
+from icub_core.evaluation.overlap import boxes_of
 from icub_core.files import write_atomically
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 from icub_segmenters.boxes import decode, encode
+from icub_segmenters.lesson import check_masks
 from icub_segmenters.mask_geometry import boxes_of_masks, crop_masks, paste_masks
 from icub_segmenters.regions import assign
 from icub_segmenters.sampling import sample
@@ -91,7 +93,12 @@ class OutputLayers(Segmenter):
         return self._trained
 
     def observe(self, frame: RgbdFrame, instances: Sequence[Instance]) -> None:
-        """Keep one annotated frame."""
+        """Keep one annotated frame.
+
+        Raises:
+            DataError: A mask is empty or has another size than the image; nothing is kept of the frame.
+        """
+        check_masks(frame, instances)
         self._frames.append((frame, tuple(instances)))
         if self.store_features:
             self._kept.append(self.extractor.extract(frame.rgb))
@@ -172,7 +179,7 @@ class OutputLayers(Segmenter):
         """Classification, box and mask loss of one frame."""
         frame, instances = self._frames[number]
         image = self._kept[number] if self.store_features else self.extractor.extract(frame.rgb)
-        truth = torch.tensor([i.box for i in instances], dtype=torch.float32).reshape(-1, 4)
+        truth = torch.from_numpy(boxes_of(instances)).float()
         numbers = torch.tensor([self._labels.index(i.label) for i in instances], dtype=torch.int64)
         boxes = torch.cat([truth, image.proposals])
         label, near, targets = assign(boxes, truth, numbers)

@@ -64,6 +64,7 @@ class CompactRegions(RegionNetwork):
         self._center, self._scale = center, scale
         self._image_size = image_size
         self.mask_size = mask_size
+        self._last_masks: tuple[_CompactMaps, torch.Tensor, torch.Tensor] | None = None
 
     def working_size(self, height: int, width: int) -> tuple[int, int]:
         """The largest size of the image's shape that fits into the working area."""
@@ -95,8 +96,13 @@ class CompactRegions(RegionNetwork):
         return (self.raw_features(maps, boxes) - self._center) * self._scale
 
     def _mask_features(self, maps: _CompactMaps, boxes: torch.Tensor) -> torch.Tensor:
+        # pixel features and probabilities of the same boxes are asked for one after the other: computed once
+        if self._last_masks is not None and self._last_masks[0] is maps and torch.equal(self._last_masks[1], boxes):
+            return self._last_masks[2]
         heads = self._network.roi_heads
-        return heads.mask_head(heads.mask_roi_pool(maps.pyramid, [boxes], [maps.size]))
+        out = heads.mask_head(heads.mask_roi_pool(maps.pyramid, [boxes], [maps.size]))
+        self._last_masks = maps, boxes, out
+        return out
 
     def mask_maps(self, maps: _CompactMaps, boxes: torch.Tensor) -> torch.Tensor:
         """The deconvolution's map (N, 64, mask_size, mask_size)."""

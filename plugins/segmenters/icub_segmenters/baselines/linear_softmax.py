@@ -1,0 +1,67 @@
+"""The strongest cheap rival: a linear classifier, trained by gradient descent, on the very regions of `falkon`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch.nn import functional
+
+from icub_core.interfaces.feature_extractor import FeatureExtractor
+from icub_core.interfaces.online_head import OnlineHead
+from icub_segmenters.detection import OnlineDetector
+from icub_segmenters.online_segmenter import OnlineSegmenter
+
+LOWEST_LOGIT = -6.0
+"""Log odds below which nothing is reported: a probability of 0.002."""
+
+
+class SoftmaxDetector(OnlineDetector):
+    """Scores are a class's log odds against everything else, other classes included, as a softmax layer's are."""
+
+    def scores(self, X: torch.Tensor) -> torch.Tensor:
+        """Return scores (n, classes) of normalised features X (n, d), in the order of the softmax probabilities."""
+        against_background = super().scores(X)
+        logits = torch.cat([against_background.new_zeros(len(X), 1), against_background], dim=1)
+        share = functional.log_softmax(logits.double(), dim=1)[:, 1:]
+        # log p - log(1 - p), with care where p rounds to 1
+        return (share - torch.log(-torch.expm1(share.clamp(max=-1e-12)))).to(against_background)
+
+
+class LinearSoftmax(OnlineSegmenter):
+    """The strongest cheap rival: linear softmax classifiers on the regions that `falkon` learns from.
+
+    Same features, pasted clutter, box regressors and combination of masks as `OnlineSegmenter`; other classifiers. All negatives of the budget are seen in every epoch, so nothing is lost by choosing hard ones. What is left of a
+    difference to `falkon` is what its kernel adds.
+    """
+
+    def __init__(
+        self,
+        feature_extractor: FeatureExtractor,
+        online_head: Callable[[], OnlineHead],
+        negatives: int = 20_000,
+        composites: int = 1,
+        masks: str = "combined",
+        seed: int = 0,
+    ) -> None:
+        """Configure; see `OnlineSegmenter`.
+
+        Args:
+            feature_extractor: Proposes and describes regions.
+            online_head: Gives an untrained classifier whose scores are log odds: ``linear``.
+            negatives: Background regions trained on at most.
+            composites: Pictures with pasted clutter made of every observed instance; 0 for none.
+            masks: ``"online"``, ``"pretrained"`` or ``"combined"``.
+            seed: Decides everything random.
+        """
+        super().__init__(
+            feature_extractor,
+            online_head,
+            batches=1,
+            batch_size=negatives,
+            composites=composites,
+            masks=masks,
+            seed=seed,
+        )
+        self.lowest_score = LOWEST_LOGIT
+        self.detector = SoftmaxDetector(online_head, self.procedure, shared=True, repool=False)

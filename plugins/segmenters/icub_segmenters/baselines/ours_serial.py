@@ -1,0 +1,94 @@
+"""Ours Serial: region proposals are trained first, regions and pixels on what they then propose (thesis 11.6.2)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+
+from icub_core.errors import NotFittedError
+from icub_core.interfaces.feature_extractor import FeatureExtractor
+from icub_core.interfaces.online_head import OnlineHead
+from icub_core.interfaces.segmenter import UpdateReport
+from icub_segmenters.lesson import Lesson
+from icub_segmenters.online_segmenter import OnlineSegmenter
+
+
+class OursSerial(OnlineSegmenter):
+    """`OnlineSegmenter` with an on-line region proposal network and two extractions of features.
+
+    While frames arrive only the cells of the proposal network are kept, with the pictures. `update` trains that
+    network, goes through all pictures a second time with its proposals, and trains the other heads: better regions to
+    learn from, at the price of a second extraction after the last frame. Pictures of earlier updates are gone through
+    again, too, since the proposals have changed.
+
+    Source: thesis 11.6.2, figure 11.5.
+    """
+
+    def __init__(
+        self,
+        feature_extractor: FeatureExtractor,
+        online_head: Callable[[], OnlineHead],
+        mode: str = "shared",
+        batches: int = 10,
+        batch_size: int = 2000,
+        composites: int = 1,
+        masks: str = "combined",
+        seed: int = 0,
+    ) -> None:
+        """Configure; see `OnlineSegmenter`.
+
+        Args:
+            feature_extractor: Describes cells and regions; it must have a region proposal network.
+            online_head: Gives an untrained classifier at every call.
+            mode: ``"shared"`` or ``"faithful"``.
+            batches: Batches of negatives (n_B).
+            batch_size: Negatives in a batch (BS).
+            composites: Pictures with pasted clutter made of every observed instance; 0 for none.
+            masks: ``"online"``, ``"pretrained"`` or ``"combined"``.
+            seed: Decides everything random.
+        """
+        super().__init__(
+            feature_extractor,
+            online_head,
+            mode=mode,
+            batches=batches,
+            batch_size=batch_size,
+            composites=composites,
+            masks=masks,
+            proposals="online",
+            seed=seed,
+        )
+        self._lessons: list[Lesson] = []
+
+    def update(self) -> UpdateReport:
+        """Train the proposals, extract the features of all pictures again, train the other heads.
+
+        Raises:
+            NotFittedError: No instance was ever observed.
+        """
+        if not any(len(lesson.numbers) for lesson in self._lessons):
+            raise NotFittedError("there is nothing to learn: observe at least one frame with an instance first")
+        assert self.rpn is not None
+        start = time.perf_counter()
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self._observed)
+        self.rpn.train(generator)
+        proposed = time.perf_counter()
+        self.store, self.masks = type(self.store)(self.extractor.region_dim), type(self.masks)(self.masks.make_head)
+        with torch.no_grad():
+            for lesson in self._lessons:
+                self._keep_regions(self._proposed(self.extractor.extract(lesson.rgb)), lesson, generator)
+        extracted = time.perf_counter()
+        parts = self._train_heads(generator)
+        return self._report(start, {"rpn": proposed - start, "features": extracted - proposed, **parts})
+
+    def load(self, path: Path) -> None:
+        """Read what `save` wrote; pictures are not part of it: what is observed later is learnt anew, alone."""
+        super().load(path)
+        self._lessons = []
+
+    def _take(self, lesson: Lesson, generator: torch.Generator) -> None:
+        self._keep_cells(self.extractor.extract(lesson.rgb), lesson, generator)
+        self._lessons.append(lesson)
