@@ -98,6 +98,9 @@ class GripperWorld:
 
     Args:
         item: The object; its convex pieces collide.
+
+    Attributes:
+        center: (3,) the object's centre of mass where it was placed, metres.
     """
 
     def __init__(self, item: ObjectSpec) -> None:
@@ -105,6 +108,7 @@ class GripperWorld:
         self._item = item
         self._data = mujoco.MjData(self._model)
         self._object = self._model.body("object").id
+        self.center = np.zeros(3)
         self._state = np.zeros(mujoco.mj_stateSize(self._model, mujoco.mjtState.mjSTATE_INTEGRATION))
 
     def place(self, yaw: float) -> bool:
@@ -123,16 +127,14 @@ class GripperWorld:
         data.qpos[address + 3 : address + 7] = turned
         mujoco.mj_step(model, data, _SETTLE_STEPS)
         mujoco.mj_getState(model, data, self._state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_forward(model, data)
+        self.center = np.array(data.xipos[self._object])
         sunk = abs(float(data.qpos[address + 2]) - self._item.rest_height)
         return sunk < 0.01 and not data.warning.number.any()
 
-    @property
-    def center(self) -> FloatArray:
-        """(3,) the object's centre of mass, metres."""
-        return np.array(self._data.xipos[self._object])
-
     def view(self, eye: FloatArray) -> tuple[PointCloud, FloatArray]:
-        """Return what a camera at `eye` (3,) sees of the object, and the outward normals (N, 3)."""
+        """Return what a camera at `eye` (3,) sees of the object where it was placed, and outward normals (N, 3)."""
+        self._restore()
         R = look_at(eye, self.center)[:3, :3]
         away = float(np.linalg.norm(self.center - eye))
         line = np.linspace(-_RAY_FIELD / away, _RAY_FIELD / away, _RAYS)
@@ -156,7 +158,7 @@ class GripperWorld:
         if _meets_table(T) or _meets_table(T @ make_transform(None, [0.0, 0.0, -PRE_GRASP])):
             return failed
         model, data = self._model, self._data
-        mujoco.mj_setState(model, data, self._state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._restore()
         data.mocap_pos[0] = T[:3, 3] - PRE_GRASP * T[:3, 2]
         data.mocap_quat[0] = matrix_to_quat_wxyz(T[:3, :3])
         data.joint("left").qpos[0] = data.joint("right").qpos[0] = MAX_WIDTH / 2
@@ -186,6 +188,10 @@ class GripperWorld:
         width = self._opening()
         held = risen > 0.7 * expected and width > _HELD_WIDTH * MAX_WIDTH and not data.warning.number.any()
         return Outcome(True, width) if held else failed
+
+    def _restore(self) -> None:
+        mujoco.mj_setState(self._model, self._data, self._state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_forward(self._model, self._data)
 
     def _opening(self) -> float:
         return float(self._data.joint("left").qpos[0] + self._data.joint("right").qpos[0])

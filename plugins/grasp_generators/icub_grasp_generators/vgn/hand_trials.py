@@ -28,7 +28,7 @@ from icub_core.scene import CameraView, Scene
 from icub_grasp_generators.clouds import CLOUD_POINTS, MAX_TOUCHED, thin
 from icub_grasp_generators.hand_geometry import read_hand_geometry
 from icub_grasp_generators.reach import Reach, clears_table
-from icub_grasp_generators.vgn.palm import PALM_POINT, at_palm
+from icub_grasp_generators.vgn.palm import PALM_POINT, YAW, at_palm
 from icub_grasp_generators.vgn.trials import TriedScene
 
 log = logging.getLogger(__name__)
@@ -52,7 +52,6 @@ MAX_STEPS = 105
 """Shorter than the task's 5 cm, 100 steps, 10 cm and 250 steps, to try twice as many."""
 WIDTH, HEIGHT = 240, 180
 
-_YAW = (np.radians(150.0), np.radians(265.0))
 _ROLL = (np.radians(-45.0), np.radians(95.0))
 _DIP = (np.radians(-45.0), 0.0)
 _OFFSET_LOW, _OFFSET_HIGH = np.array([-0.018, -0.035, 0.0]), np.array([0.012, 0.035, 0.012])
@@ -194,7 +193,7 @@ def draw_poses(surface: FloatArray, rng: np.random.Generator, count: int) -> Flo
     looking sideways, and the fingers dip by up to 45 degrees.
     """
     poses = np.tile(np.eye(4), (count, 1, 1))
-    yaw, roll, dip = rng.uniform(*_YAW, count), rng.uniform(*_ROLL, count), rng.uniform(*_DIP, count)
+    yaw, roll, dip = rng.uniform(*YAW, count), rng.uniform(*_ROLL, count), rng.uniform(*_DIP, count)
     flat = _about(2, yaw) @ np.diag([1.0, -1.0, -1.0])
     poses[:, :3, :3] = flat @ _about(0, roll) @ _about(1, dip)
     touched = PALM_POINT + rng.uniform(_OFFSET_LOW, _OFFSET_HIGH, (count, 3))

@@ -1,4 +1,4 @@
-"""The point of the iCub's palm that stands for its pose in a voxel."""
+"""The iCub's right hand as the network sees it: a point of the palm, and the sides that it comes from."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from icub_core.geometry import FloatArray
 
 PALM_POINT = np.array([0.033, -0.002, 0.001])
 """Point of the palm that faces the object's middle, in the hand frame, metres: what a voxel stands for."""
+
+YAW = (np.radians(150.0), np.radians(265.0))
+"""Angles of the hand's x axis about the vertical that the right arm reaches on the table, rad."""
 
 
 def at_palm(T_world_hand: FloatArray) -> FloatArray:

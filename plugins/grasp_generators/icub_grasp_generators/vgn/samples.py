@@ -1,7 +1,7 @@
 """From grasp trials to what the network learns from: fields, voxels and labels, drawn anew every time.
 
 Each draw takes one view or several, puts the table in or leaves it out, moves the cube a little, and for a gripper
-turns the scene about the vertical (an iCub's hand reaches from one side only).
+turns the scene about the vertical; for a hand too, but less, as the arm reaches from one side only.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 from icub_core.data import PointCloud
 from icub_core.errors import DataError
 from icub_core.geometry import FloatArray, make_transform, rotation_about
-from icub_grasp_generators.clouds import center_of
+from icub_grasp_generators.clouds import center_of, thin
 from icub_grasp_generators.vgn.network import GRIPPER
+from icub_grasp_generators.vgn.palm import YAW
 from icub_grasp_generators.vgn.trials import TriedScene
 from icub_grasp_generators.vgn.volume import RESOLUTION, VOXEL, Volume
 
@@ -26,7 +27,11 @@ SHIFT = 0.03
 NOISE = 0.001
 """Metres; standard deviation of the points."""
 MOST_OF_SCENE = 16
-"""Trials of one scene that one draw uses, as many held as not where there are."""
+"""Trials of one scene that one step uses."""
+HAND_TURN = np.radians(50.0)
+"""Largest turn of a scene about the vertical where trials are a hand's."""
+MOST_POINTS = 4000
+"""Of a view; more than the field resolves."""
 BORDER = 2
 """Voxels at the cube's faces that no grasp is learned at."""
 
@@ -53,61 +58,68 @@ class Batch:
 
 
 @dataclass(frozen=True, eq=False)
-class _Draw:
-    tsdf: NDArray[np.float32]
+class Draw:
+    """One field of one scene and the trials that lie in it; arrays as in `Batch`, without its first axis."""
+
+    tsdf: NDArray[np.float16]
     index: NDArray[np.intp]
     label: NDArray[np.bool_]
     quaternion: FloatArray
     width: FloatArray
 
+    def balanced(self, rng: np.random.Generator) -> Draw:
+        """Return some of the trials: as many held as not where there are, at least two of each."""
+        held, missed = np.flatnonzero(self.label), np.flatnonzero(~self.label)
+        each = max(min(len(held), len(missed), MOST_OF_SCENE // 2), 2)
+        part = np.concatenate([rng.permutation(held)[:each], rng.permutation(missed)[:each]])
+        return Draw(self.tsdf, self.index[part], self.label[part], self.quaternion[part], self.width[part])
 
-def draw(scene: TriedScene, pose: str, rng: np.random.Generator, balanced: bool = True) -> _Draw | None:
-    """Draw a field of one scene with some of its trials; None when the views show next to nothing.
+
+def draw(scene: TriedScene, pose: str, rng: np.random.Generator) -> Draw | None:
+    """Draw a field of one scene; None when the views show next to nothing or no trial lies in it.
 
     Args:
         scene: The trials.
-        pose: ``"gripper"`` scenes are turned about the vertical, ``"hand"`` scenes are not.
+        pose: ``"gripper"`` scenes are turned about the vertical by any angle. ``"hand"`` scenes are turned less, and
+            trials that then lie outside of the angles that the hand is tried at are left out.
         rng: Decides everything.
-        balanced: Take as many held trials as others where there are; otherwise all.
     """
     count = int(rng.integers(1, len(scene.views) + 1)) if pose == GRIPPER else 1
     chosen = rng.choice(len(scene.views), count, replace=False)
-    T = make_transform(rotation_about("z", rng.uniform(0, 2 * np.pi)) if pose == GRIPPER else None)
+    turn = rng.uniform(0, 2 * np.pi) if pose == GRIPPER else rng.uniform(-HAND_TURN, HAND_TURN)
+    T = make_transform(rotation_about("z", turn))
     views = tuple(_moved(scene.views[v], T, rng) for v in chosen)
+    shift = rng.uniform(-SHIFT, SHIFT, 3)
     try:
         center = center_of(views[0].points, scene.table_top)
-    except DataError:
-        return None
-    shift = rng.uniform(-SHIFT, SHIFT, 3)
-    volume = Volume.around(center + [shift[0], shift[1], 0.0], scene.table_top + min(shift[2], 0.0))
-    table_in = bool(rng.integers(2))
-    try:
-        tsdf = volume.tsdf(views, scene.table_top if table_in else None)
+        volume = Volume.around(center + [shift[0], shift[1], 0.0], scene.table_top + min(shift[2], 0.0))
+        tsdf = volume.tsdf(views, scene.table_top if rng.integers(2) else None)
     except DataError:
         return None
     poses = T @ scene.poses
     index = volume.index_of(poses[:, :3, 3])
-    inside = np.flatnonzero(np.all((index >= BORDER) & (index < RESOLUTION - BORDER), axis=1))
-    if balanced:
-        held, missed = inside[scene.success[inside]], inside[~scene.success[inside]]
-        each = max(min(len(held), len(missed), MOST_OF_SCENE // 2), 2)
-        inside = np.concatenate([rng.permutation(held)[:each], rng.permutation(missed)[:each]])
-    if len(inside) == 0:
+    inside = np.all((index >= BORDER) & (index < RESOLUTION - BORDER), axis=1)
+    if pose != GRIPPER:
+        yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0]) % (2 * np.pi)
+        inside &= (yaw >= YAW[0]) & (yaw <= YAW[1])
+    if not inside.any():
         return None
     quaternion = Rotation.from_matrix(poses[inside, :3, :3]).as_quat()
-    return _Draw(tsdf, index[inside], scene.success[inside], quaternion, scene.widths[inside] / VOXEL)
+    field = tsdf.astype(np.float16)
+    return Draw(field, index[inside], scene.success[inside], quaternion, scene.widths[inside] / VOXEL)
 
 
 def _moved(view: PointCloud, T: FloatArray, rng: np.random.Generator) -> PointCloud:
     assert view.viewpoint is not None
-    points = view.points @ T[:3, :3].T + rng.normal(0.0, NOISE, view.points.shape)
+    points = thin(view.points, MOST_POINTS)
+    points = points @ T[:3, :3].T + rng.normal(0.0, NOISE, points.shape)
     return PointCloud(points, viewpoint=T[:3, :3] @ view.viewpoint)
 
 
-def collate(draws: list[_Draw]) -> Batch:
+def collate(draws: list[Draw]) -> Batch:
     """Put draws into one batch."""
     return Batch(
-        torch.from_numpy(np.stack([d.tsdf for d in draws]))[:, None],
+        torch.from_numpy(np.stack([d.tsdf for d in draws]).astype(np.float32))[:, None],
         torch.from_numpy(np.repeat(np.arange(len(draws)), [len(d.index) for d in draws])),
         torch.from_numpy(np.concatenate([d.index for d in draws])),
         torch.from_numpy(np.concatenate([d.label for d in draws]).astype(np.float32)),

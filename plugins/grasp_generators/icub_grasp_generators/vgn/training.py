@@ -7,8 +7,8 @@
 trials of the robot's own hand. Trials are files in the run folder, training is checkpointed, and calling again with the
 same folder goes on where it was.
 
-Source: Breyer et al. 2020 for the losses. DIFF: the rate falls to zero along a cosine, and trials are drawn from fields
-that are made anew every time.
+Source: Breyer et al. 2020 for the losses. DIFF: the rate falls to zero along a cosine, and fields are drawn from
+the trials' clouds, several a scene.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from icub_grasp_generators.vgn.generation import Trials, generate
 from icub_grasp_generators.vgn.gripper_trials import GripperTrials
 from icub_grasp_generators.vgn.hand_trials import HandTrials
 from icub_grasp_generators.vgn.network import GRIPPER, HAND, Meaning, VgnNetwork, load_network, save_network
-from icub_grasp_generators.vgn.samples import Batch, collate, draw
+from icub_grasp_generators.vgn.samples import Batch, Draw, collate, draw
 from icub_grasp_generators.vgn.trials import TriedScene, read_trials
 
 log = logging.getLogger(__name__)
@@ -47,8 +47,9 @@ LEARNING_RATE = 1e-3
 WIDTH_WEIGHT = 0.01
 """Of the squared error of the width in voxels (original)."""
 CHECKPOINT_SECONDS = 60.0
-STEPS_PER_SECOND = 3.0
-"""Expected on one core; decides how many steps the given time holds."""
+LARGEST_GRADIENT = 5.0
+VARIANTS = 12
+"""Draws of each scene, kept; a step takes some of one's trials."""
 MOST_BATCHES = 100_000
 
 _TURN_ABOUT_Z = torch.tensor([0.0, 0.0, 1.0, 0.0])
@@ -74,8 +75,8 @@ class Part:
 
 
 PARTS = (
-    Part("parallel_jaw", GRIPPER, GripperTrials, 0.15, 0.15),
-    Part("icub_hand", HAND, HandTrials, 0.5, 0.2),
+    Part("parallel_jaw", GRIPPER, GripperTrials, 0.10, 0.17),
+    Part("icub_hand", HAND, HandTrials, 0.49, 0.24),
 )
 
 
@@ -86,8 +87,8 @@ def train(run_dir: Path, seed: int, minutes: float, progress: Progress) -> None:
     for part in PARTS:
         scenes = _scenes(part, run_dir, seed, 60 * minutes, begun, progress)
         begun += part.trial_share
-        steps = max(int(60 * minutes * part.step_share * STEPS_PER_SECOND), 1)
-        fit(part, scenes, run_dir, seed, steps, start_from, _part_of(progress, begun, part.step_share))
+        seconds = 60 * minutes * part.step_share
+        fit(part, scenes, run_dir, seed, seconds, start_from, _part_of(progress, begun, part.step_share))
         begun += part.step_share
         start_from = run_dir / f"{part.name}.safetensors"
         _write_card(part, scenes, run_dir, seed, minutes)
@@ -141,11 +142,11 @@ def fit(
     scenes: list[TriedScene],
     run_dir: Path,
     seed: int,
-    steps: int,
+    seconds: float,
     start_from: Path | None,
     progress: Progress,
 ) -> None:
-    """Do gradient steps on the scenes that are not held out, or go on with them; writes the weights at the end."""
+    """Do gradient steps on the scenes that are not held out for `seconds` over all calls; writes the weights last."""
     taught = [s for s in scenes if not s.held_out and len(s.success)]
     if not taught:
         raise DataError(f"{part.name}: no trials to learn from; give it more time")
@@ -154,44 +155,73 @@ def fit(
     network.requires_grad_(True).train()
     optimiser = torch.optim.Adam(network.parameters(), lr=LEARNING_RATE)
     checkpoint = run_dir / f"{part.name}.checkpoint.safetensors"
-    first = _restore(checkpoint, network, optimiser)
-    saved = time.monotonic()
+    step, spent = _restore(checkpoint, network, optimiser)
+    fields = Fields(taught, part.pose, seed)
+    begun = saved = time.monotonic()
     running = np.nan
-    for step in range(first, steps):
-        rng = np.random.default_rng([seed, step])  # a step's draws depend on nothing but its number
-        chosen = rng.choice(len(taught), min(SCENES_PER_STEP, len(taught)), replace=False)
-        draws = [d for d in (draw(taught[i], part.pose, rng) for i in chosen) if d is not None]
-        if not draws:
-            continue
+    while (used := spent + time.monotonic() - begun) < seconds or step == 0:
+        share = min(used / seconds, 1.0)
         for group in optimiser.param_groups:
-            group["lr"] = LEARNING_RATE * 0.5 * (1 + np.cos(np.pi * step / steps))
-        batch = collate(draws)
+            group["lr"] = LEARNING_RATE * 0.5 * (1 + np.cos(np.pi * share))
+        batch = fields.batch(step)
         loss = loss_of(network.at_voxels(batch.tsdf, batch.scene, batch.index), batch, part.pose)
         optimiser.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
+        torch.nn.utils.clip_grad_norm_(network.parameters(), LARGEST_GRADIENT)
         optimiser.step()
+        step += 1
         running = loss.item() if np.isnan(running) else 0.98 * running + 0.02 * loss.item()
-        progress(step / steps, f"{part.name}: step {step} of {steps}, loss {running:.3f}")
+        progress(share, f"{part.name}: step {step}, loss {running:.3f}")
         if time.monotonic() - saved > CHECKPOINT_SECONDS:
-            _save(checkpoint, network, optimiser, step + 1)
+            _save(checkpoint, network, optimiser, step, used)
             saved = time.monotonic()
-    _save(checkpoint, network, optimiser, max(steps, first))
+    _save(checkpoint, network, optimiser, step, max(spent, used))
     network.eval()
     save_network(run_dir / f"{part.name}.safetensors", network, Meaning(part.pose))
 
 
-def _save(path: Path, network: VgnNetwork, optimiser: torch.optim.Optimizer, step: int) -> None:
+class Fields:
+    """Batches of a training; fields are drawn `VARIANTS` times a scene and kept.
+
+    Args:
+        scenes: To learn from.
+        pose: What the trials' poses belong to.
+        seed: With the number of a step, decides its batch.
+    """
+
+    def __init__(self, scenes: list[TriedScene], pose: str, seed: int) -> None:
+        self._scenes, self._pose, self._seed = scenes, pose, seed
+        self._known: dict[tuple[int, int], Draw | None] = {}
+
+    def batch(self, step: int) -> Batch:
+        """Return the batch of one step."""
+        rng = np.random.default_rng([self._seed, step])
+        draws: list[Draw] = []
+        while len(draws) < SCENES_PER_STEP:
+            drawn = self._drawn(int(rng.integers(len(self._scenes))), int(rng.integers(VARIANTS)))
+            if drawn is not None:
+                draws.append(drawn.balanced(rng))
+        return collate(draws)
+
+    def _drawn(self, scene: int, variant: int) -> Draw | None:
+        key = (scene, variant)
+        if key not in self._known:
+            rng = np.random.default_rng([self._seed, *key])
+            self._known[key] = draw(self._scenes[scene], self._pose, rng)
+        return self._known[key]
+
+
+def _save(path: Path, network: VgnNetwork, optimiser: torch.optim.Optimizer, step: int, spent: float) -> None:
     tensors = {f"network.{k}": v.detach().contiguous() for k, v in network.state_dict().items()}
     for i, entry in optimiser.state_dict()["state"].items():
         tensors |= {f"adam.{i}.{k}": v.detach().clone().contiguous() for k, v in entry.items()}
-    tensors["step"] = torch.tensor(step)
+    tensors |= {"step": torch.tensor(step), "spent": torch.tensor(spent)}
     write_atomically(path, lambda temporary: save_file(tensors, temporary))
 
 
-def _restore(path: Path, network: VgnNetwork, optimiser: torch.optim.Optimizer) -> int:
+def _restore(path: Path, network: VgnNetwork, optimiser: torch.optim.Optimizer) -> tuple[int, float]:
     if not path.exists():
-        return 0
+        return 0, 0.0
     tensors = load_file(path)
     network.load_state_dict({k.removeprefix("network."): v for k, v in tensors.items() if k.startswith("network.")})
     state = optimiser.state_dict()
@@ -200,7 +230,7 @@ def _restore(path: Path, network: VgnNetwork, optimiser: torch.optim.Optimizer) 
             _, number, name = key.split(".", 2)
             state["state"].setdefault(int(number), {})[name] = value
     optimiser.load_state_dict(state)
-    return int(tensors["step"])
+    return int(tensors["step"]), float(tensors["spent"])
 
 
 @torch.no_grad()
@@ -211,7 +241,7 @@ def evaluate(network: VgnNetwork, scenes: list[TriedScene], pose: str, seed: int
         `trials`, `held` (share), `accuracy` (balanced, at 0.5), `auc`, `rotation_error_deg` (mean over held trials).
     """
     rng = np.random.default_rng(seed)
-    drawn = (draw(scene, pose, rng, balanced=False) for scene in 2 * scenes)
+    drawn = (draw(scene, pose, rng) for scene in 2 * scenes)
     draws = [d for d in drawn if d is not None]
     if not draws:
         return {"trials": 0.0}
@@ -252,7 +282,8 @@ def _write_card(part: Part, scenes: list[TriedScene], run_dir: Path, seed: int, 
         "every tenth object held out",
         "machine": {**machine(), "system": platform.machine()},
         "versions": versions(),
-        "minutes_asked_for": minutes,
+        "minutes": minutes,
+        "steps": int(load_file(run_dir / f"{part.name}.checkpoint.safetensors")["step"]),
         "figures": evaluate(network, [s for s in scenes if s.held_out], part.pose),
     }
     write_text_atomically(run_dir / f"{part.name}.json", json.dumps(card, indent=2) + "\n")
