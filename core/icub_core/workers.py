@@ -138,7 +138,7 @@ def _serve(make: Callable[[], Callable[[Job], Result]], connection: Connection) 
         connection.send((_READY, None))
         while True:
             connection.send((_DONE, handle(connection.recv())))
-    except EOFError:  # the parent has gone
+    except (EOFError, ConnectionError):  # the parent has gone
         return
     except IcubError as error:
         connection.send((_FAILED, error))

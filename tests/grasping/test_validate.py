@@ -1,0 +1,105 @@
+"""Grasps are judged: a good one holds in both engines, bad ones fail for the right reason."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from icub_core import registry
+from icub_core.data import Grasp
+from icub_core.errors import ConfigError
+from icub_core.geometry import make_transform, quat_wxyz_to_matrix
+from icub_core.grasping.judging import Judge, Pose
+from icub_core.grasping.validate import Verdict, plan_trial, run_trial
+from icub_core.scene import Scene
+
+NAME = "010_potted_meat_can"
+ENGINES = ["mujoco", "pybullet"]
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return registry.build("robot", "icub")
+
+
+@pytest.fixture(scope="module")
+def can():
+    return registry.build("objects", "ycb_primitives").get(NAME)
+
+
+@pytest.fixture(scope="module")
+def standing(can):
+    return make_transform(quat_wxyz_to_matrix(can.rest_quat_wxyz), [-0.35, 0.0, 0.95 + can.rest_height])
+
+
+@pytest.fixture(scope="module")
+def grasp(can, standing):
+    """From above, fingers forward, palm 6 mm over the can, thumb on its near side."""
+    R = np.diag([-1.0, 1.0, -1.0])
+    top = standing[:3, 3] + [0, 0, can.half_extents[2]]
+    return Grasp(make_transform(R, top - R @ np.array([0.032, -0.002, 0.006])), standing[:3, 3], 0.0, "by hand")
+
+
+def judged(engine, robot, spec, standing, grasp):
+    trial = plan_trial(robot, grasp, robot.description.home_q)
+    simulator = registry.build("simulator", engine)
+    try:
+        simulator.load(robot.description, Scene(objects=(spec,)))
+        return run_trial(simulator, robot.description, trial, NAME, standing)
+    finally:
+        simulator.close()
+
+
+def moved(grasp, **by):
+    T = grasp.T_world_hand.copy()
+    T[:3, 3] += by["by"]
+    return dataclasses.replace(grasp, T_world_hand=T)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_good_grasp_is_held(engine, robot, can, standing, grasp):
+    assert judged(engine, robot, can, standing, grasp) is Verdict.HELD
+
+
+def test_a_grasp_of_air_lifts_nothing(robot, can, standing, grasp):
+    assert judged("mujoco", robot, can, standing, moved(grasp, by=[0.0, 0.16, 0.02])) is Verdict.NOT_LIFTED
+
+
+def test_a_can_without_friction_slips_out(robot, can, standing, grasp):
+    description = robot.description
+    slippery = {link: dataclasses.replace(m, friction=(0.01, 0.0, 0.0)) for link, m in description.contacts.items()}
+    soap = dataclasses.replace(can, friction=(0.01, 0.0, 0.0), mass=2.0)
+    simulator = registry.build("simulator", "mujoco")
+    simulator.load(dataclasses.replace(description, contacts=slippery), Scene(objects=(soap,)))
+    trial = plan_trial(robot, grasp, description.home_q)
+    assert run_trial(simulator, description, trial, NAME, standing) in (Verdict.NOT_LIFTED, Verdict.SHAKEN_OFF)
+    simulator.close()
+
+
+def test_a_grasp_out_of_reach_has_no_trial(robot, grasp):
+    assert plan_trial(robot, moved(grasp, by=[-0.8, 0.0, 0.0]), robot.description.home_q) is None
+
+
+def test_a_hand_that_the_robot_lacks_is_named(robot, grasp):
+    with pytest.raises(ConfigError, match="left"):
+        plan_trial(robot, dataclasses.replace(grasp, hand="left"), robot.description.home_q)
+
+
+def test_the_left_hand_is_judged_like_the_right_one(can, standing, grasp):
+    """Mirrored at the robot's plane of symmetry."""
+    left = registry.build("robot", {"plugin": "icub", "hands": ["left"]})
+    frame, home = left.description.hand_frames["left"], left.description.home_q
+    T = make_transform(np.diag([-1.0, 1.0, -1.0]), grasp.T_world_hand[:3, 3] * [1, -1, 1])
+    mirrored = dataclasses.replace(grasp, T_world_hand=T, hand="left")
+    trial = plan_trial(left, mirrored, home)
+    assert trial is not None
+    np.testing.assert_allclose(left.forward_kinematics(trial.q_start, frame)[:3, :3], T[:3, :3], atol=0.02)
+    assert trial.lift.shape == (55, len(left.description.actuators))
+
+
+@pytest.mark.slow
+def test_a_generator_s_grasp_is_judged_by_both_engines():
+    judge = Judge("icub", "superquadrics", "ycb_primitives", ENGINES)
+    outcome = judge(Pose(NAME, 0))
+    assert list(outcome.verdicts) == ENGINES
+    assert outcome.verdicts["mujoco"] is Verdict.HELD
