@@ -64,9 +64,9 @@ def test_the_original_file_fits_and_counts_as_a_gripper_s(tmp_path):
     y = f.interpolate(f.relu(layer("decoder.conv2", y, padding=1)), 20)
     y = f.interpolate(f.relu(layer("decoder.conv3", y, padding=2)), 40)
     quality, rotation, width = network(x)
-    torch.testing.assert_close(quality, torch.sigmoid(layer("conv_qual", y, padding=2)))
-    torch.testing.assert_close(rotation, f.normalize(layer("conv_rot", y, padding=2), dim=1), atol=1e-5, rtol=1e-4)
-    torch.testing.assert_close(width, layer("conv_width", y, padding=2))
+    torch.testing.assert_close(quality, torch.sigmoid(layer("conv_qual", y, padding=2)), atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(rotation, f.normalize(layer("conv_rot", y, padding=2), dim=1), atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(width, layer("conv_width", y, padding=2), atol=1e-3, rtol=1e-3)
 
 
 def test_own_files_keep_weights_and_meaning(network, tmp_path):

@@ -42,13 +42,13 @@ log = logging.getLogger(__name__)
 
 Progress = Callable[[float, str], None]
 
-SCENES_PER_STEP = 16
+SCENES_PER_STEP = 8
 LEARNING_RATE = 1e-3
 WIDTH_WEIGHT = 0.01
 """Of the squared error of the width in voxels (original)."""
 CHECKPOINT_SECONDS = 60.0
 LARGEST_GRADIENT = 5.0
-VARIANTS = 12
+VARIANTS = 6
 """Draws of each scene, kept; a step takes some of one's trials."""
 MOST_BATCHES = 100_000
 
@@ -75,8 +75,8 @@ class Part:
 
 
 PARTS = (
-    Part("parallel_jaw", GRIPPER, GripperTrials, 0.10, 0.17),
-    Part("icub_hand", HAND, HandTrials, 0.49, 0.24),
+    Part("parallel_jaw", GRIPPER, GripperTrials, 0.11, 0.14),
+    Part("icub_hand", HAND, HandTrials, 0.46, 0.29),
 )
 
 
