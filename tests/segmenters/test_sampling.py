@@ -69,19 +69,84 @@ def image(number, background=12, label=-1):
     return Regions(features, boxes, boxes, labels, labels.clone())
 
 
-def test_images_that_arrive_one_by_one_keep_what_a_batch_would_have_kept():
-    """Algorithm 2: negatives of the first of four images, thinned at each arrival, against one draw at the end."""
-
-    def incremental(generator):
-        store = RegionStore(1)
+def test_images_that_arrive_one_by_one_keep_a_uniform_sample():
+    """Algorithm 2: negatives of the first of four images, thinned at each arrival."""
+    subsets = {s: i for i, s in enumerate(itertools.combinations(range(6), 2))}
+    counts = np.zeros(len(subsets))
+    for seed in range(900):
+        store = RegionStore(1, seed)
         for number in range(4):
             store.append(image(number, background=6))
-            thin_out(store, 8, generator)
+            thin_out(store, 8)
         assert torch.bincount(store.image).tolist() == [2, 2, 2, 2]
-        return (store.features[store.image == 0, 0] * 100).round().long()
-
-    counts = counted(incremental, 6, 2, draws=900)
+        kept = (store.features[store.image == 0, 0] * 100).round().long().tolist()
+        counts[subsets[tuple(sorted(kept))]] += 1
     assert chisquare(counts).pvalue > 1e-3
+
+
+def algorithm_3(images, labels, budget, generator):
+    """Thesis Algorithm 3, word for word: which (image, row) are negatives of each class, images coming one by one."""
+    per_class, buffer, classes = {}, {}, []
+    for i, (count, label) in enumerate(zip(images, labels, strict=True)):
+        if label >= 0 and label not in classes:
+            classes.append(label)
+        quota = quota_per_image(budget, i + 1)
+        buffer = {j: sample(rows, quota, generator) for j, rows in buffer.items()}
+        per_class = {key: sample(rows, quota, generator) for key, rows in per_class.items()}
+        if label >= 0:  # row 0 is the positive
+            per_class[label, i] = sample(torch.arange(1, count), quota, generator)
+        buffer[i] = sample(torch.arange(count), quota, generator)
+    return {c: {i: per_class.get((c, i), buffer[i]) for i in range(len(images))} for c in classes}
+
+
+def test_the_store_draws_as_algorithm_3_does():
+    """Appendix D by experiment: each row of each image is as often a negative of each class in both."""
+    labels, background, budget, trials = [0, 0, 1, 0, 2, -1], 5, 12, 1500
+    counts = [background + (label >= 0) for label in labels]
+    ours, theirs = np.zeros((3, 6, 6)), np.zeros((3, 6, 6))
+    for seed in range(trials):
+        generator = torch.Generator().manual_seed(seed)
+        store = RegionStore(1, seed)
+        for number, label in enumerate(labels):
+            store.append(image(number, background=background, label=label))
+            thin_out(store, budget)
+        for c in range(3):
+            rows = class_negatives(store, c, budget, generator)
+            np.add.at(ours[c], (store.image[rows].numpy(), within(store, rows)), 1)
+        for c, chosen in algorithm_3(counts, labels, budget, generator).items():
+            for i, rows in chosen.items():
+                np.add.at(theirs[c], (i, rows.numpy()), 1)
+    assert ours.sum() == theirs.sum()  # the same number of negatives an image
+    used = theirs > 0
+    assert (used == (ours > 0)).all()
+    difference = (ours - theirs)[used]
+    share = 0.5 * (ours + theirs)[used] / trials
+    z = difference / np.sqrt(np.maximum(2 * trials * share * (1 - share), 1e-9))
+    assert np.abs(z).max() < 4.5  # 95 rows: chance 1e-3
+    assert np.abs(z).mean() < 1.1
+
+
+def within(store, rows):
+    """Row numbers within their images: background's features count on from the positive's."""
+    return (store.features[rows, 0].double() * 100).round().long().numpy() % 100
+
+
+def test_what_was_thinned_out_on_the_way_does_not_change_what_is_drawn():
+    """Stronger than appendix D: not only the distribution, the very rows are those of a batch."""
+    thinned, batch = RegionStore(1, 3), RegionStore(1, 3)
+    for number in range(12):
+        regions = image(number, background=9, label=number % 4 - 1)
+        thinned.append(regions)
+        batch.append(regions)
+        thin_out(thinned, 40)
+    assert len(thinned) < 0.7 * len(batch)
+    for c in range(3):
+        a = thinned.features[class_negatives(thinned, c, 40, torch.Generator().manual_seed(0))]
+        b = batch.features[class_negatives(batch, c, 40, torch.Generator().manual_seed(0))]
+        assert torch.equal(a, b)
+    a = thinned.features[shared_negatives(thinned, 40, torch.Generator().manual_seed(0))]
+    b = batch.features[shared_negatives(batch, 40, torch.Generator().manual_seed(0))]
+    assert torch.equal(a, b)
 
 
 def test_negatives_are_spread_over_images_and_bounded():
@@ -111,6 +176,6 @@ def test_thinning_keeps_every_positive():
     store = RegionStore(1)
     for number in range(20):
         store.append(image(number, background=10, label=0))
-    thin_out(store, 40, torch.Generator().manual_seed(0))
+    thin_out(store, 40)
     assert int((store.label == 0).sum()) == 20
     assert torch.bincount(store.image[store.label < 0]).tolist() == [2] * 20

@@ -12,6 +12,7 @@ from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatur
 from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.boxes import decode, encode, iou, paired_iou
 from icub_segmenters.heads.rls import Rls
+from icub_segmenters.incremental import Addition, add_class
 from icub_segmenters.minibootstrap import MakeHead, Minibootstrap
 from icub_segmenters.normalization import Normalization
 from icub_segmenters.region_store import RegionStore
@@ -27,6 +28,9 @@ VOTE_IOU = 0.6
 """Candidates of the same class that overlap a detection by more have a say in where it is."""
 VOTE_SHARPNESS = 4.0
 """A vote weighs exp of this times its score."""
+MOST_REGRESSED = 400
+"""Positives of a class that its box regressor learns from at most, evenly over time: more were measured to add
+nothing, and made half of the training time."""
 TIGHT_IOU = 0.75
 """The second regressor learns from regions as close as the first one brings them."""
 
@@ -59,15 +63,20 @@ class BoxRegressors:
     def __init__(self) -> None:
         self.heads: dict[int, Rls] = {}
 
-    def fit(self, X: torch.Tensor, store: RegionStore, lowest_iou: float) -> None:
-        """Train on the positives of `store` whose IoU with their true box is at least `lowest_iou`; X (n, d)."""
-        positives = torch.nonzero(store.label >= 0).flatten()
+    def fit(self, X: torch.Tensor, store: RegionStore, lowest_iou: float, first: int = 0) -> None:
+        """Train on the positives of `store` whose IoU with their true box is at least `lowest_iou`; X (n, d).
+
+        Classes below `first` stay as they are.
+        """
+        positives = torch.nonzero(store.label >= first).flatten()
         boxes, targets, label = store.boxes[positives], store.targets[positives], store.label[positives]
         size = (boxes[:, 2:] - boxes[:, :2]).prod(dim=1)
         good = (paired_iou(boxes, targets) >= lowest_iou) & (size > 0)
-        heads = {}
+        heads = {c: head for c, head in self.heads.items() if c < first}
         for c in label[good].unique().tolist():
-            of_class = good & (label == c)
+            of_class = torch.nonzero(good & (label == c)).flatten()
+            if len(of_class) > MOST_REGRESSED:
+                of_class = of_class[torch.linspace(0, len(of_class) - 1, MOST_REGRESSED).long()]
             head = Rls(lam=BOX_PENALTY)
             head.fit(X[positives[of_class]], encode(boxes[of_class], targets[of_class]))
             heads[c] = head
@@ -102,6 +111,7 @@ class OnlineDetector:
         self.make_head, self.procedure, self.shared, self.repool = make_head, procedure, shared, repool
         self.normalization: Normalization | None = None
         self.heads: dict[int, OnlineHead] = {}  # by class; shared: the only one under 0
+        self.additions: list[Addition] = []  # classes that came after the last whole training
         self.coarse, self.fine = BoxRegressors(), BoxRegressors()
         self._known = torch.zeros(0, dtype=torch.bool)  # (classes,): had a positive
 
@@ -140,20 +150,47 @@ class OnlineDetector:
                 if head is not None:
                     heads[c] = head
         self.coarse.fit(X, store, 0.0)
-        self.fine.fit(X, store, TIGHT_IOU)
-        self.normalization, self.heads = normalization, heads
+        if self.repool:
+            self.fine.fit(X, store, TIGHT_IOU)
+        self.normalization, self.heads, self.additions = normalization, heads, []
         self._known = torch.zeros(classes, dtype=torch.bool)
         self._known[store.label[store.label >= 0].unique()] = True
 
+    def add_classes(self, store: RegionStore, classes: int, generator: torch.Generator) -> None:
+        """Train only the classes that are new since the last training; see `incremental` for what old ones may lose.
+
+        The scale of features and the old classes' box regressors stay as they are.
+
+        Args:
+            store: Regions, labelled 0 to classes - 1.
+            classes: Number of classes, new ones included.
+            generator: Decides which negatives are seen.
+        """
+        if self.normalization is None:
+            raise NotFittedError("the detector has no classes to add to: train it first")
+        known = self.number_of_classes
+        X = self.normalization(store.features)
+        for c in range(known, classes):
+            negatives = class_negatives(store, c, self.procedure.budget, generator)
+            addition = add_class(
+                c, self.procedure, self.make_head, X, store.label, negatives, self.scores, generator
+            )  # before the class is known: `scores` are the old ones
+            self._known = torch.cat([self._known, torch.tensor([addition is not None])])
+            if addition is not None:
+                self.additions.append(addition)
+        self.coarse.fit(X, store, 0.0, known)
+        if self.repool:
+            self.fine.fit(X, store, TIGHT_IOU, known)
+
     def scores(self, X: torch.Tensor) -> torch.Tensor:
         """Return scores (n, classes) of normalised features X (n, d)."""
-        if self.shared:
-            scores = self.heads[0].decision_function(X)
-            return torch.where(self._known, scores, NEVER)
         scores = X.new_full((len(X), self.number_of_classes), NEVER)
         for c, head in self.heads.items():
-            scores[:, c] = head.decision_function(X).squeeze(1)
-        return scores
+            values = head.decision_function(X)
+            scores[:, c : c + values.shape[1]] = values
+        for addition in self.additions:
+            addition.apply(scores, X)
+        return torch.where(self._known, scores, NEVER)
 
     def detect(self, extractor: FeatureExtractor, image: ImageFeatures, lowest_score: float) -> Detections:
         """Find the taught objects among an image's proposals.
@@ -189,6 +226,9 @@ class OnlineDetector:
         for name, heads in parts:
             for c, head in heads.items():
                 state |= {f"{name}.{c}.{key}": value for key, value in head.state_dict().items()}
+        for a in self.additions:
+            state |= {f"added.{a.number}.{key}": value for key, value in a.head.state_dict().items()}
+            state[f"corrected.{a.number}"] = torch.tensor(a.corrected, dtype=torch.int64)
         return state
 
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
@@ -198,15 +238,20 @@ class OnlineDetector:
             normalization = Normalization(state["normalization.mean"].clone(), mean_norm)
         except (KeyError, RuntimeError) as error:
             raise CheckpointError(f"this is no detector's state: {error}") from error
-        loaded: dict[str, dict[int, OnlineHead]] = {"head": {}, "coarse": {}, "fine": {}}
+        loaded: dict[str, dict[int, OnlineHead]] = {"head": {}, "coarse": {}, "fine": {}, "added": {}}
         for key in sorted({tuple(name.split(".")[:2]) for name in state if name.split(".")[0] in loaded}):
             name, number = key
-            head = self.make_head() if name == "head" else Rls(lam=BOX_PENALTY)
+            head = self.make_head() if name in ("head", "added") else Rls(lam=BOX_PENALTY)
             prefix = f"{name}.{number}."
             head.load_state_dict({k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)})
             loaded[name][int(number)] = head
         if self.shared and set(loaded["head"]) != {0}:
             raise CheckpointError("the detector's state has one classifier a class; expected one for all (mode=shared)")
+        if any(f"corrected.{c}" not in state for c in loaded["added"]):
+            raise CheckpointError("the detector's state has an added class without the classes that it corrects")
+        self.additions = [
+            Addition(c, head, tuple(state[f"corrected.{c}"].tolist())) for c, head in sorted(loaded["added"].items())
+        ]
         self.normalization, self.heads = normalization, loaded["head"]
         self._known = known
         self.coarse.heads = {c: h for c, h in loaded["coarse"].items() if isinstance(h, Rls)}

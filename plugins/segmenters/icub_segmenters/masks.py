@@ -75,9 +75,13 @@ class OnlineMasks:
                     kind[:] = [_thinned(kind, MOST_PIXELS, generator)]
             self._stale.add(label)
 
-    def train(self, seed: int) -> None:
-        """Train the classes that have new pixels; each class has its own scale, so the others do not change."""
-        for label in sorted(self._stale):
+    def train(self, seed: int, first: int = 0) -> None:
+        """Train the classes that have new pixels; each class has its own scale, so the others do not change.
+
+        Classes below `first` wait for another time, new pixels or not.
+        """
+        ready = {label for label in self._stale if label >= first}
+        for label in sorted(ready):
             generator = torch.Generator().manual_seed(seed * 1_000_003 + label)
             of_object, others = (_thinned(kind, MOST_PIXELS // 2, generator) for kind in self.samples[label])
             self.heads.pop(label, None)
@@ -90,7 +94,7 @@ class OnlineMasks:
                 head.number_of_centers = min(head.number_of_centers, MOST_CENTERS)
             head.fit(scale(X), Y)
             self.heads[label], self.scales[label] = head, scale
-        self._stale.clear()
+        self._stale -= ready
 
     def predict(
         self, extractor: FeatureExtractor, image: ImageFeatures, boxes: torch.Tensor, labels: torch.Tensor

@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 MODES = ("shared", "faithful")
 PROPOSALS = ("pretrained", "online")
 MASKS = ("combined", "online", "pretrained")
-FORMAT = 1
+FORMAT = 2
 FILE = "segmenter.safetensors"
 LOWEST_SCORE = -0.7
 """Instances that score less are not reported: between this and the targets of negatives, -1, all is noise."""
@@ -45,6 +45,8 @@ SURPLUS = 1.5
 """Negatives in the store may outgrow the budget by this factor before old images are thinned out."""
 SMALLEST_MASK = 20
 """Pixels; what is smaller than this is no finding."""
+BANK_PICTURES = 0
+"""Clutter pictures that are learnt from as they are, before the first lesson: a bank of negatives."""
 
 
 class OnlineSegmenter(Segmenter):
@@ -109,7 +111,7 @@ class OnlineSegmenter(Segmenter):
         self.detector = OnlineDetector(online_head, self.procedure, shared=mode == "shared", repool=repool)
         self.masks = OnlineMasks(online_head)
         self.rpn = OnlineRpn(online_head, self.procedure) if proposals == "online" else None
-        self.store = RegionStore(feature_extractor.region_dim)
+        self.store = RegionStore(feature_extractor.region_dim, seed)
         self._labels: list[str] = []  # numbered in the order in which they were first seen
         self._trained: tuple[str, ...] = ()
         self._observed = 0
@@ -136,6 +138,9 @@ class OnlineSegmenter(Segmenter):
             return
         if self._compositor is None:
             self._compositor = Compositor.from_folder()
+            for picture in self._compositor.pictures[:BANK_PICTURES]:
+                others = [picture.objects == k for k in np.unique(picture.objects[picture.objects > 0])]
+                self._learn_from(picture.rgb, (), generator, others)
         for instance in instances:
             cutout = Cutout.of(instance.label, frame.rgb, instance.mask)
             for _ in range(self.composites):
@@ -155,6 +160,36 @@ class OnlineSegmenter(Segmenter):
         # a function of what was observed and of nothing else, so that updates in between change nothing
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self._observed)
         parts = self._train_heads(generator)
+        if self.rpn is not None:
+            with _timed(parts, "rpn"):
+                self.rpn.train(generator)
+        return self._report(start, parts)
+
+    def add_classes(self) -> UpdateReport:
+        """Train only the classes that were first shown since the last training; the others stay as they are.
+
+        An old class changes only if it takes the new object for its own, and then as little as that needs (see
+        `incremental`). Unlike `update` the result depends on when it is called; a later `update` trains all anew.
+        On-line region proposals, which all classes share, are trained anew.
+
+        Raises:
+            NotFittedError: Before the first `update`.
+            DataError: No class was shown for the first time since the last training.
+        """
+        start = time.perf_counter()
+        if not self._trained:
+            raise NotFittedError("there are no classes to add to: call update first")
+        first = len(self._trained)
+        if len(self._labels) == first:
+            raise DataError("no class was first shown since the last training; expected one, or use update")
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self._observed)
+        parts: dict[str, float] = {}
+        with _timed(parts, "detection"):
+            self.detector.add_classes(self.store, len(self._labels), generator)
+        if self.asks_online:
+            with _timed(parts, "masks"):
+                self.masks.train(self.seed, first)
+        self._trained = tuple(self._labels)
         if self.rpn is not None:
             with _timed(parts, "rpn"):
                 self.rpn.train(generator)
@@ -240,7 +275,7 @@ class OnlineSegmenter(Segmenter):
         detector = type(self.detector)(
             self.detector.make_head, self.procedure, shared=self.detector.shared, repool=self.detector.repool
         )
-        masks, store = OnlineMasks(self.masks.make_head), RegionStore(self.extractor.region_dim)
+        masks, store = OnlineMasks(self.masks.make_head), RegionStore(self.extractor.region_dim, self.seed)
         detector.load_state_dict(parts["detector"])
         masks.load_state_dict(parts["masks"])
         store.load_state_dict(parts["store"])
@@ -284,7 +319,7 @@ class OnlineSegmenter(Segmenter):
         if self.asks_online:
             self.masks.observe(self.extractor, image, lesson.boxes, lesson.masks, lesson.numbers, generator)
         if int((self.store.near < 0).sum()) > SURPLUS * self.procedure.budget:
-            thin_out(self.store, self.procedure.budget, generator)
+            thin_out(self.store, self.procedure.budget)
 
     def _keep_cells(self, image: ImageFeatures, lesson: Lesson, generator: torch.Generator) -> None:
         """Keep cells of a picture, when regions are proposed on-line."""

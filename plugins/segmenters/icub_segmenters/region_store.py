@@ -9,6 +9,8 @@ import torch
 from icub_core.errors import CheckpointError, DataError
 
 BACKGROUND = -1
+PRIORITY_STREAM = 0x9E3779B9
+"""Added to the seed of priorities: others seed by image number too, and a shared seed would tie the two draws."""
 GROWTH = 1.25
 """A full store grows by this factor: slack memory stays under a quarter."""
 
@@ -40,15 +42,19 @@ class Regions:
         return Regions(self.features[rows], self.boxes[rows], self.targets[rows], self.label[rows], self.near[rows])
 
 
-_COLUMNS = ("features", "boxes", "targets", "label", "near", "image")
+_COLUMNS = ("features", "boxes", "targets", "label", "near", "image", "priority")
 
 
 class RegionStore:
-    """A growing table of regions; row numbers are what classes, batches and buffers refer to."""
+    """A growing table of regions; row numbers are what classes, batches and buffers refer to.
 
-    def __init__(self, dim: int) -> None:
-        """Start empty for features of `dim` numbers."""
-        self.dim = dim
+    Each row gets a random number when it comes, its priority. The rows of lowest priority among any group are a
+    uniform sample of that group, whatever else is forgotten later (see `sampling`).
+    """
+
+    def __init__(self, dim: int, seed: int = 0) -> None:
+        """Start empty for features of `dim` numbers; `seed` and an image's number decide its rows' priorities."""
+        self.dim, self.seed = dim, seed
         self.images = 0
         self._size = 0
         self._table = {
@@ -58,6 +64,7 @@ class RegionStore:
             "label": torch.empty(0, dtype=torch.int64),
             "near": torch.empty(0, dtype=torch.int64),
             "image": torch.empty(0, dtype=torch.int64),
+            "priority": torch.empty(0, dtype=torch.float64),
         }
 
     def __len__(self) -> int:
@@ -94,6 +101,11 @@ class RegionStore:
         return self._table["image"][: self._size]
 
     @property
+    def priority(self) -> torch.Tensor:
+        """(n,) float64 uniform in 0..1, drawn when the row came."""
+        return self._table["priority"][: self._size]
+
+    @property
     def nbytes(self) -> int:
         """Memory of the whole table, slack included."""
         return sum(column.nbytes for column in self._table.values())
@@ -107,9 +119,11 @@ class RegionStore:
         count = len(regions)
         self._reserve(self._size + count)
         rows = slice(self._size, self._size + count)
-        for name in _COLUMNS[:-1]:
+        for name in ("features", "boxes", "targets", "label", "near"):
             self._table[name][rows] = getattr(regions, name)
         self._table["image"][rows] = self.images
+        generator = torch.Generator().manual_seed(PRIORITY_STREAM + self.seed * 1_000_003 + self.images)
+        self._table["priority"][rows] = torch.rand(count, generator=generator, dtype=torch.float64)
         self._size += count
         self.images += 1
         return torch.arange(rows.start, rows.stop)

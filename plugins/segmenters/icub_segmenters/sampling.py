@@ -1,8 +1,9 @@
-"""Exact uniform sampling of negatives, a fixed number an image, while images keep arriving.
+"""Exact uniform sampling of negatives, a fixed number an image, while images keep arriving (Algorithms 2 and 3).
 
-A uniform sample without replacement of a uniform sample without replacement is uniform (thesis appendix D), so old
-images may be thinned out again and again as new ones come: the result is distributed as if all had been there from the
-start (Algorithms 2 and 3). The released code draws with replacement, for which this does not hold.
+A uniform sample without replacement of such a sample is uniform (thesis appendix D), so old images may be thinned out
+again and again as new ones come. Here more holds: rows are chosen by the random priority that each got when it came,
+the lowest first. Whatever was forgotten in between, the choice is that of a batch which saw all images at once, row
+for row. The released code draws with replacement, for which neither holds.
 """
 
 from __future__ import annotations
@@ -37,11 +38,18 @@ def sample_per_group(rows: torch.Tensor, group: torch.Tensor, count: int, genera
     return rows[by_group[rank < count]]
 
 
+def lowest_per_group(rows: torch.Tensor, group: torch.Tensor, priority: torch.Tensor, count: int) -> torch.Tensor:
+    """Take the min(count, size) rows (n,) of lowest priority (n,) of each group; group (n,) int64."""
+    by_priority = torch.argsort(priority)
+    by_group = by_priority[torch.argsort(group[by_priority], stable=True)]
+    sorted_group = group[by_group]
+    rank = torch.arange(len(rows)) - torch.searchsorted(sorted_group, sorted_group)
+    return rows[by_group[rank < count]]
+
+
 def shared_negatives(store: RegionStore, budget: int, generator: torch.Generator) -> torch.Tensor:
     """Draw rows that overlap no instance of any class: at most `budget` of them, evenly over images, shuffled."""
-    rows = torch.nonzero(store.near == BACKGROUND).flatten()
-    rows = sample_per_group(rows, store.image[rows], quota_per_image(budget, store.images), generator)
-    return sample(rows, budget, generator)
+    return sample(_of_images(store, store.near == BACKGROUND, budget), budget, generator)
 
 
 def class_negatives(store: RegionStore, number: int, budget: int, generator: torch.Generator) -> torch.Tensor:
@@ -51,15 +59,29 @@ def class_negatives(store: RegionStore, number: int, budget: int, generator: tor
     any kind, other classes' positives included. Both are the rows that are not near the class, so one table of regions
     serves as the algorithm's per-image negatives and as its buffer, for all classes at once.
     """
-    rows = torch.nonzero(store.near != number).flatten()
-    rows = sample_per_group(rows, store.image[rows], quota_per_image(budget, store.images), generator)
-    return sample(rows, budget, generator)
+    return sample(_of_images(store, store.near != number, budget), budget, generator)
 
 
-def thin_out(store: RegionStore, budget: int, generator: torch.Generator) -> None:
-    """Drop surplus rows, uniformly: an image keeps ceil(budget / images) background rows, a class MOST_NEAR others."""
-    background = torch.nonzero(store.near == BACKGROUND).flatten()
-    background = sample_per_group(background, store.image[background], quota_per_image(budget, store.images), generator)
-    near = torch.nonzero(store.near != BACKGROUND).flatten()
-    near = sample_per_group(near, store.near[near], MOST_NEAR, generator)
-    store.keep(torch.cat([near, background]).sort().values)
+def thin_out(store: RegionStore, budget: int) -> None:
+    """Forget what no class will use any more; what `shared_negatives` and `class_negatives` choose stays the same.
+
+    An image keeps its share of background, of all its regions (the buffer of Algorithm 3), and of those away from each
+    class that it shows; a class keeps MOST_NEAR positives and near misses.
+    """
+    n, near = len(store), store.near
+    kept = torch.zeros(n, dtype=torch.bool)
+    kept[_of_images(store, near == BACKGROUND, budget)] = True
+    kept[_of_images(store, torch.ones(n, dtype=torch.bool), budget)] = True
+    for c in near[near != BACKGROUND].unique().tolist():
+        showing = torch.zeros(store.images, dtype=torch.bool)
+        showing[store.image[near == c]] = True
+        kept[_of_images(store, showing[store.image] & (near != c), budget)] = True
+    rows = torch.nonzero(near != BACKGROUND).flatten()
+    kept[lowest_per_group(rows, near[rows], store.priority[rows], MOST_NEAR)] = True
+    store.keep(torch.nonzero(kept).flatten())
+
+
+def _of_images(store: RegionStore, eligible: torch.Tensor, budget: int) -> torch.Tensor:
+    """Choose ceil(budget / images) of the eligible (n,) bool rows of each image."""
+    rows = torch.nonzero(eligible).flatten()
+    return lowest_per_group(rows, store.image[rows], store.priority[rows], quota_per_image(budget, store.images))
