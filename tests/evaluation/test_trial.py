@@ -10,13 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from icub_core.data import Instance, RgbdFrame
-from icub_core.errors import DataError, NotFittedError
+from icub_core.errors import ConfigError, DataError, NotFittedError
+from icub_core.evaluation.head_clock import clocked_heads, heads_share
 from icub_core.evaluation.trial import Trial, run_trial
+from icub_core.evaluation.trial_report import markdown_table, plot_over_time
 from icub_core.geometry import pinhole
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
+from icub_segmenters.heads.linear import Linear
 
 COLOURS = {"red": (200, 20, 20), "green": (20, 200, 20), "blue": (20, 20, 200)}
 
@@ -134,20 +138,83 @@ def trial_with(map50, update_seconds, map70=0.5):
 
 
 def test_the_benchmark_reports_means_deviations_and_ratios_run_by_run(benchmark):
-    trials = {
-        ("tabletop", "falkon"): [trial_with(0.80, 1.0), trial_with(0.90, 2.0)],
-        ("tabletop", "output_layers"): [trial_with(0.70, 100.0), trial_with(0.70, 100.0)],
-        ("tabletop", "o_os"): [trial_with(0.75, 1.0, 0.49), trial_with(0.75, 1.0, 0.49)],
+    def runs(*trials):
+        return [benchmark.Run(trial, 0.1) for trial in trials]
+
+    measured = {
+        ("tabletop", "ours"): runs(trial_with(0.80, 1.0), trial_with(0.90, 2.0)),
+        ("tabletop", "output_layers"): runs(trial_with(0.70, 100.0), trial_with(0.70, 100.0)),
+        ("tabletop", "o_os"): runs(trial_with(0.75, 1.0, 0.49), trial_with(0.75, 1.0, 0.49)),
     }
-    figures = benchmark._figures(trials)
-    segm = figures["segmentation.tabletop.falkon.map50_segm"]
+    figures = benchmark._figures(measured)
+    segm = figures["segmentation.tabletop.ours.map50_segm"]
     assert (segm.value, segm.n) == (pytest.approx(0.85), 2)
     assert segm.spread == pytest.approx(0.1 / math.sqrt(2))
     assert figures["segmentation.speedup_output_layers"].value == pytest.approx((100 + 50) / 2)
     assert figures["segmentation.map50_segm_minus_output_layers"].value == pytest.approx(15.0)
     assert figures["segmentation.ours_minus_oos"].value == pytest.approx(1.0)  # the smallest of the four gains
+    assert figures["segmentation.heads_share"].value == pytest.approx(0.1)
+
+
+def test_constants_are_changed_for_one_trial_and_put_back(benchmark):
+    from icub_segmenters import regions
+
+    method = benchmark.Method("few", "falkon,icub_segmenters.regions.JITTERED=2,features=0:256")
+    config = method.config(0, "cpu", "tabletop")
+    before = regions.JITTERED
+    with method.segmenter(config) as segmenter:
+        assert regions.JITTERED == 2 != before
+        assert segmenter.extractor.region_dim == 256
+    assert before == regions.JITTERED
+    wrong = benchmark.Method("wrong", "falkon,icub_segmenters.regions.JITERED=2")
+    with pytest.raises(ConfigError, match="Did you mean 'JITTERED'"), wrong.segmenter(config):
+        pass
+
+
+def test_a_report_has_a_row_a_method_and_a_plot(tmp_path):
+    trials = [trial_with(0.8, 1.0), trial_with(0.9, 2.0)]
+    table = markdown_table({"ours": trials, "not measured": []})
+    assert table.count("\n") == 3
+    assert "| ours | 85.0 ± 7.1 |" in table
+    plot_over_time(tmp_path / "plot.png", "title", {"ours": {"ours": trials}, "none": {}})
+    assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_share_of_the_heads_is_the_time_in_their_decision_functions():
+    head = Linear()
+    head.fit(torch.randn(20, 3), torch.ones(20, 1))
+
+    class Asking(ByColour):
+        def segment(self, frame):
+            time.sleep(0.01)
+            head.decision_function(torch.zeros(2, 3))
+            return ()
+
+    original = Linear.decision_function
+    share = heads_share(Asking(), [Squares([["red"]])[0][0]] * 5)
+    assert 0 < share < 0.5
+    assert Linear.decision_function is original
+    with clocked_heads() as total:
+        head.decision_function(torch.zeros(2, 3))
+    assert total[0] > 0
 
 
 def test_the_benchmark_names_unknown_tasks_and_methods(benchmark, capsys):
     assert benchmark.main(["--tasks", "tabeltop"]) == 1
     assert "Did you mean 'tabletop'" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.slow
+def test_the_quick_benchmark_measures_the_figures_that_are_to_be_reached_and_goes_on_where_it_stopped(
+    benchmark, tmp_path
+):
+    arguments = ["--quick", "--tasks", "tabletop", "--work", str(tmp_path / "work"), "--out", str(tmp_path / "s.json")]
+    assert benchmark.main([*arguments, "--methods", "ours", "o_os"]) == 0
+    trials = {file: file.stat().st_mtime_ns for file in (tmp_path / "work").iterdir()}
+    assert benchmark.main([*arguments, "--methods", "ours", "o_os", "output_layers"]) == 0
+    assert all(file.stat().st_mtime_ns == time for file, time in trials.items())
+    figures = json.loads((tmp_path / "s.json").read_text())["figures"]
+    for key in ("speedup_output_layers", "map50_segm_minus_output_layers", "ours_minus_oos", "heads_share"):
+        assert math.isfinite(figures[f"segmentation.{key}"]["value"])
+    assert "| output_layers |" in (tmp_path / "s.md").read_text()
+    assert (tmp_path / "s_tabletop.png").is_file()

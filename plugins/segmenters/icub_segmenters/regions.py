@@ -15,8 +15,8 @@ NEGATIVE_IOU = 0.3
 """A region that overlaps every true box by less is a negative (thesis 11.3.2)."""
 JITTERED = 6
 """Boxes drawn around each true one: with the proposals they are the positives."""
-JITTERED_STRANGERS = 1
-"""Boxes drawn around each known other object."""
+STRANGER_BOXES = 2
+"""Boxes described of each known other object: its own, and others drawn around it."""
 KEPT_NEAR = 12
 """Regions an image contributes at most that overlap an object too little to be its positives and too much to be its
 negatives; they are other classes' negatives."""
@@ -67,9 +67,10 @@ def describe(
     positive, between = label != BACKGROUND, (label == BACKGROUND) & (near != BACKGROUND)
     groups = ((positive, len(proposals)), (between, KEPT_NEAR), (near == BACKGROUND, KEPT_NEGATIVES))
     kept = torch.cat([sample(torch.nonzero(group).flatten(), most, generator) for group, most in groups])
-    strangers = torch.zeros(0, 4) if strangers is None else strangers
-    around += [jittered(box, JITTERED_STRANGERS, POSITIVE_IOU, image.image_size, generator) for box in strangers]
-    boxes = torch.cat([truth, *around, strangers, proposals[kept]])
+    for box in () if strangers is None else strangers:
+        drawn = jittered(box, STRANGER_BOXES - 1, POSITIVE_IOU, image.image_size, generator) if STRANGER_BOXES else box
+        around.append(torch.cat([box[None], drawn.reshape(-1, 4)])[:STRANGER_BOXES])
+    boxes = torch.cat([truth, *around, proposals[kept]])
     label, near, targets = assign(boxes, truth, truth_label)
     features = extractor.region_features(image, boxes).float().cpu()
     return Regions(features, boxes, targets, label, near)

@@ -31,8 +31,9 @@ class SoftmaxDetector(OnlineDetector):
 class LinearSoftmax(OnlineSegmenter):
     """The strongest cheap rival: linear softmax classifiers on the regions that `falkon` learns from.
 
-    Same features, pasted clutter, box regressors and combination of masks as `OnlineSegmenter`; other classifiers. All negatives of the budget are seen in every epoch, so nothing is lost by choosing hard ones. What is left of a
-    difference to `falkon` is what its kernel adds.
+    Features, pasted clutter, box regressors and the combination of masks are those of `OnlineSegmenter`; only the
+    classifiers differ. All negatives of the budget are seen in every epoch, so nothing is lost by choosing hard ones.
+    What is left of a difference to `falkon` is what its kernel adds.
     """
 
     def __init__(
