@@ -1,0 +1,168 @@
+"""One more class taught after 21 others: how long its training takes, and what the others lose.
+
+    icub benchmark incremental
+    icub benchmark incremental --runs 3
+    icub benchmark incremental --train-frames 48 --test-frames 24 --new-frames 12 --out /tmp/incremental.json
+
+21 objects of the rendered table-top task are taught and learnt; then another object is shown alone. It is learnt by
+`OnlineSegmenter.add_classes`, which leaves the others as they are, and, from the same frames, by `update`, which trains
+all classes anew as thesis 11.8.1 does. Old classes are examined before and after on test frames on which the new object
+does not occur; the new one on frames where it stands among old ones.
+
+Rendered frames are kept in the user's cache folder and made when they are missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import shlex
+import statistics
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from icub_core.config.assembly import Assembly
+from icub_core.config.compose import compose
+from icub_core.data import Instance, RgbdFrame
+from icub_core.errors import IcubError
+from icub_core.evaluation.detection import DetectionMetrics, evaluate_instances
+from icub_core.evaluation.results import Figure, write_results
+from icub_core.interfaces.segmenter import Segmenter
+from icub_core.scene import ObjectSpec
+from icub_datasets.rendered.objects import CLUTTER, TABLETOP, target_object
+from icub_datasets.rendered.tabletop import RenderedTabletop
+
+RESULTS = Path(__file__).resolve().parent / "results" / "incremental.json"
+NEW = CLUTTER[0]
+COMPANIONS = 4
+Examples = Iterable[tuple[RgbdFrame, Sequence[Instance]]]
+
+
+class NewObject(RenderedTabletop):
+    """The object that comes later, alone on tables, or among old ones in the test split; only it is annotated."""
+
+    def __init__(self, split: str, frames: int, seed: int) -> None:
+        super().__init__(split, frames, seed)
+        self._classes = (NEW,)
+
+    def _objects(self) -> tuple[ObjectSpec, ...]:
+        return (target_object(NEW), *super()._objects())
+
+    def _deal(self) -> list[list[str]]:
+        if self._split == "train":
+            return [[NEW]] * len(super()._deal())
+        return [[NEW, *deal[:COMPANIONS]] for deal in super()._deal()]
+
+
+def run(options: argparse.Namespace, seed: int, progress: Progress) -> dict[str, float]:
+    """Teach, add, examine; return the figures of one run by the last part of their keys."""
+    segmenter = Assembly(compose(["segmenter=falkon", f"seed={seed}", *options.overrides])).get("segmenter")
+    train = RenderedTabletop("train", options.train_frames, seed)
+    test = RenderedTabletop("test", options.test_frames, seed)
+    lessons, among = (
+        NewObject(split, n, seed) for split, n in (("train", options.new_frames), ("test", options.test_frames // 2))
+    )
+    show(segmenter, train, len(train), "teaching 21 objects", progress)
+    segmenter.update()
+    old = list(segmenter.classes)
+    before = examine(segmenter, test, old, "examining", progress)
+    show(segmenter, lessons, len(lessons), "showing one more", progress)
+    added = segmenter.add_classes()
+    after = examine(segmenter, test, old, "examining after the addition", progress)
+    new = examine(segmenter, among, [NEW], "examining the new object", progress)
+    corrected = segmenter.detector.additions[0].corrected
+    whole = segmenter.update()
+    retrained = examine(segmenter, test, old, "examining after training anew", progress)
+    new_retrained = examine(segmenter, among, [NEW], "examining the new object", progress)
+    for data in (train, test, lessons, among):
+        data.close()
+    return {
+        "old_classes": float(len(old)),
+        "add_class_s": added.seconds,
+        "retrain_s": whole.seconds,
+        "old_class_change": largest_change(before, after),
+        "old_class_change_retrained": largest_change(before, retrained),
+        "old_map50_change": 100 * (after.map50_segm - before.map50_segm),
+        "old_map50_change_retrained": 100 * (retrained.map50_segm - before.map50_segm),
+        "new_ap50": 100 * new.map50_segm,
+        "new_ap50_retrained": 100 * new_retrained.map50_segm,
+        "corrected_classes": float(len(corrected)),
+    }
+
+
+def show(segmenter: Segmenter, frames: Examples, count: int, title: str, progress: Progress) -> None:
+    """Observe every frame."""
+    for frame, instances in progress.track(frames, total=count, description=title):
+        segmenter.observe(frame, instances)
+
+
+def examine(
+    segmenter: Segmenter, frames: RenderedTabletop, classes: list[str], title: str, progress: Progress
+) -> DetectionMetrics:
+    """Segment every frame and compare with what is there."""
+    truth, found = [], []
+    for frame, instances in progress.track(frames, total=len(frames), description=title):
+        truth.append(instances)
+        found.append([i for i in segmenter.segment(frame) if i.label in classes])
+    return evaluate_instances(truth, found, classes)
+
+
+def largest_change(before: DetectionMetrics, after: DetectionMetrics) -> float:
+    """Return the largest absolute change of a class's mask AP50, in points."""
+    changes = [
+        abs(after.per_class[label]["ap50_segm"] - row["ap50_segm"])
+        for label, row in before.per_class.items()
+        if not math.isnan(row["ap50_segm"])
+    ]
+    return 100 * max(changes)
+
+
+UNITS = {"old_classes": "1", "corrected_classes": "1", "add_class_s": "s", "retrain_s": "s"}
+LARGEST = ("old_class_change", "old_class_change_retrained")
+"""Of these the largest of all runs is reported, not the mean."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and write benchmarks/results/incremental.json."""
+    parser = argparse.ArgumentParser(
+        prog="icub benchmark incremental", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--runs", type=int, default=1)
+    parser.add_argument("--train-frames", type=int, default=240, help=f"frames of the {len(TABLETOP)} old objects")
+    parser.add_argument("--new-frames", type=int, default=36, help="frames of the new object")
+    parser.add_argument("--test-frames", type=int, default=120)
+    parser.add_argument("--overrides", nargs="*", default=[], help="of the configuration: segmenter.mode=faithful ...")
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    options = parser.parse_args(arguments)
+    console = Console(stderr=True)
+    runs = []
+    try:
+        with Progress(console=console) as progress:
+            for seed in range(options.runs):
+                runs.append(run(options, seed, progress))
+    except KeyboardInterrupt:
+        console.print("stopped: nothing is written; frames that were rendered are kept")
+        return 130
+    except IcubError as error:
+        console.print(f"error: {error}", style="red", highlight=False)
+        return 1
+    figures = {}
+    for key in runs[0]:
+        values = [found[key] for found in runs]
+        value = max(values) if key in LARGEST else statistics.mean(values)
+        spread = statistics.stdev(values) if len(values) > 1 else None
+        figures[f"incremental.{key}"] = Figure(value, UNITS.get(key, "points"), spread, len(values))
+        console.print(f"incremental.{key:32s} {value:9.3f}", highlight=False)
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    command = shlex.join(["icub", "benchmark", "incremental", *arguments])
+    write_results(options.out, command=command, seed=0, figures=figures)
+    console.print(f"written: {options.out}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
