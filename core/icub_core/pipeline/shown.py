@@ -67,10 +67,11 @@ def shown_and_seen(
         notes = _Notebook()
         targets = [objects.get(name) for name in teach.objects]
         for number, spec in enumerate(targets):
-            seeing.teach_object(
-                simulator, robot, spec, cast(Segmenter, notes), teach.frames, rng,
-                lambda share, text, number=number: progress(0.7 * (number + share) / len(targets), text),
-            )  # fmt: skip
+
+            def tell(share: float, text: str, number: int = number) -> None:
+                progress(0.7 * (number + share) / len(targets), text)
+
+            seeing.teach_object(simulator, robot, spec, cast(Segmenter, notes), teach.frames, rng, tell)
         others = seeing.strangers(objects, teach.objects, see.strangers, rng)
         test = []
         for frame, present in tabletop_pictures(simulator, targets, others, Tabletop(frames=see.frames), rng):

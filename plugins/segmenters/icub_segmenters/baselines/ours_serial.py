@@ -13,7 +13,9 @@ from icub_core.interfaces.feature_extractor import FeatureExtractor
 from icub_core.interfaces.online_head import OnlineHead
 from icub_core.interfaces.segmenter import UpdateReport
 from icub_segmenters.lesson import Lesson
+from icub_segmenters.masks import OnlineMasks
 from icub_segmenters.online_segmenter import OnlineSegmenter
+from icub_segmenters.region_store import RegionStore
 
 
 class OursSerial(OnlineSegmenter):
@@ -76,13 +78,18 @@ class OursSerial(OnlineSegmenter):
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self._observed)
         self.rpn.train(generator)
         proposed = time.perf_counter()
-        self.store, self.masks = type(self.store)(self.extractor.region_dim), type(self.masks)(self.masks.make_head)
+        self.store = RegionStore(self.extractor.region_dim, self.seed)
+        self.masks = OnlineMasks(self.masks.make_head)
         with torch.no_grad():
             for lesson in self._lessons:
                 self._keep_regions(self._proposed(self.extractor.extract(lesson.rgb)), lesson, generator)
         extracted = time.perf_counter()
         parts = self._train_heads(generator)
         return self._report(start, {"rpn": proposed - start, "features": extracted - proposed, **parts})
+
+    def add_classes(self) -> UpdateReport:
+        """Train everything anew, as `update` does: new proposals change the regions of all classes."""
+        return self.update()
 
     def load(self, path: Path) -> None:
         """Read what `save` wrote; pictures are not part of it: what is observed later is learnt anew, alone."""
