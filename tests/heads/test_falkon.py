@@ -9,6 +9,7 @@ from sklearn.kernel_ridge import KernelRidge
 from sklearn.metrics.pairwise import rbf_kernel
 
 from icub_core.errors import CheckpointError, ConfigError, DataError, NotFittedError
+from icub_segmenters.heads import conjugate_gradients, nystrom
 from icub_segmenters.heads.centers import balanced_centers, uniform_centers
 from icub_segmenters.heads.conjugate_gradients import is_cheaper_than_direct
 from icub_segmenters.heads.falkon import Falkon
@@ -32,6 +33,42 @@ def test_with_all_samples_as_centres_it_is_kernel_ridge_regression(solver):
     reference = KernelRidge(alpha=lam * len(X), kernel="rbf", gamma=0.5 / sigma**2).fit(X.numpy(), Y.numpy())
     fresh = torch.randn(50, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     np.testing.assert_allclose(head.decision_function(fresh).numpy(), reference.predict(fresh.numpy()), atol=1e-7)
+
+
+@pytest.mark.parametrize("kernel", ["gaussian", "laplacian", "linear"])
+@pytest.mark.parametrize("solver", ["direct", "conjugate_gradients"])
+def test_every_kernel_solves_dense_kernel_ridge_regression(kernel, solver):
+    X, Y = problem(n=150, d=40)
+    fresh = problem(n=30, d=40, seed=5)[0]
+    sigma, lam = 6.0, 1e-3
+    head = Falkon(kernel, sigma, lam, centers=len(X), solver=solver)
+    head.fit(X, Y)
+    k = make_kernel(kernel, sigma)
+    reference = KernelRidge(alpha=lam * len(X), kernel="precomputed").fit(k(X, X).numpy(), Y.numpy())
+    # the linear kernel's matrix has rank 40: conjugate gradients see the jitter that its factorisation needs
+    tolerance = 1e-4 if kernel == "linear" else 1e-7
+    np.testing.assert_allclose(
+        head.decision_function(fresh).numpy(), reference.predict(k(fresh, X).numpy()), atol=tolerance
+    )
+
+
+@pytest.mark.parametrize("solver", ["direct", "conjugate_gradients"])
+def test_small_blocks_of_bounded_memory_give_the_same_solution(solver, monkeypatch):
+    X, Y = problem(n=1500)
+    whole, blocks = Falkon(sigma=2.0, centers=60, solver=solver), Falkon(sigma=2.0, centers=60, solver=solver)
+    whole.fit(X, Y)
+    monkeypatch.setattr(nystrom, "BLOCK_BYTES", 1)  # 256 rows, the least
+    monkeypatch.setattr(conjugate_gradients, "STORED_ROWS_BYTES", 0)
+    kernel, largest = type(blocks.kernel).__call__, []
+
+    def watched(self, X, *rest):
+        largest.append(len(X))
+        return kernel(self, X, *rest)
+
+    monkeypatch.setattr(type(blocks.kernel), "__call__", watched)
+    blocks.fit(X, Y)
+    assert max(largest) == 256
+    torch.testing.assert_close(blocks.decision_function(X), whole.decision_function(X), atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("solver", ["direct", "conjugate_gradients"])
@@ -150,13 +187,28 @@ def test_extending_the_centres_equals_starting_with_them():
     X, Y = problem(n=160)
     head, whole = Falkon(sigma=2.0, lam=1e-3), Falkon(sigma=2.0, lam=1e-3)
     head.fit(X, Y, centers=X[:20])
-    head._system.extend_centers(X[20:50], X, Y)
-    head.adopt(head._system)
+    head.extend_centers(X[20:50], X, Y)
     whole.fit(X, Y, centers=X[:50])
     torch.testing.assert_close(head.decision_function(X), whole.decision_function(X), atol=1e-6, rtol=0)
     head.partial_fit(X[:10], Y[:10])
     whole.partial_fit(X[:10], Y[:10])
     torch.testing.assert_close(head.decision_function(X), whole.decision_function(X), atol=1e-6, rtol=0)
+
+
+def test_centres_are_not_extended_on_other_samples_than_were_fitted():
+    X, Y = problem(n=60)
+    head = Falkon(sigma=2.0, lam=1e-3)
+    with pytest.raises(ConfigError, match="extend_centers"):
+        head.extend_centers(X[:5], X, Y)
+    head.fit(X, Y, centers=X[:20])
+    before = head.decision_function(X)
+    for samples, targets in ((X[:50], Y[:50]), (X, Y[:, :2])):
+        with pytest.raises(DataError, match="60 samples"):
+            head.extend_centers(X[20:30], samples, targets)
+    head.fit(X, Y, torch.full((60,), 2.0), X[:20])
+    with pytest.raises(DataError, match="120 samples"):
+        head.extend_centers(X[20:30], X, Y)
+    torch.testing.assert_close(head.decision_function(X), before)
 
 
 @settings(max_examples=50, deadline=None)
@@ -235,6 +287,46 @@ def test_bad_input_is_named_and_leaves_the_head_usable():
         head.decision_function(X[:, :5])
     with pytest.raises(DataError, match="sample_weight"):
         head.fit(X, Y, -torch.ones(300))
+    assert torch.equal(head.decision_function(X), before)
+
+
+@pytest.mark.parametrize("solver", ["direct", "conjugate_gradients"])
+def test_repeated_centres_give_the_function_of_the_distinct_ones(solver):
+    X, Y = problem(n=200)
+    head, once = Falkon(sigma=2.0, lam=1e-4, solver=solver), Falkon(sigma=2.0, lam=1e-4, solver="direct")
+    head.fit(X, Y, centers=X[:30].repeat(3, 1))
+    once.fit(X, Y, centers=X[:30])
+    torch.testing.assert_close(head.decision_function(X), once.decision_function(X), atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("selection", ["uniform", "balanced"])
+@pytest.mark.parametrize("positives", [0, 1, 300])
+def test_a_class_without_or_with_one_or_with_only_positives_is_fitted_beside_others(selection, positives):
+    X, Y = problem(n=300, t=2)
+    Y[:, 0] = -1
+    Y[:positives, 0] = 1
+    head = Falkon(sigma=2.0, lam=1e-5, centers=200, selection=selection)
+    head.fit(X, Y)
+    scores = head.decision_function(X)
+    assert (torch.sign(scores[positives + 20 :, 0]) == -1).float().mean() > 0.98 or positives == 300
+    assert positives != 300 or (scores[:, 0] > 0.8).all()
+    assert positives != 1 or scores[:, 0].argmax() == 0 or selection == "uniform"
+    assert (torch.sign(scores[:, 1]) == Y[:, 1]).float().mean() > 0.9
+
+
+def test_half_precision_is_computed_in_single_and_whole_numbers_are_refused():
+    X, Y = problem(dtype=torch.float32)
+    head, single = Falkon(sigma=2.0), Falkon(sigma=2.0)
+    head.fit(X.half(), Y)
+    single.fit(X.half().float(), Y)
+    torch.testing.assert_close(head.decision_function(X.half()), single.decision_function(X.half().float()))
+    with pytest.raises(DataError, match="floating point"):
+        head.fit(X.long(), Y)
+    with pytest.raises(DataError, match="Y is not finite"):
+        head.fit(X, Y * float("inf"))
+    before = head.decision_function(X)
+    with pytest.raises(DataError, match="cannot be factorised"):  # finite, but their squares are not
+        head.fit(torch.full((300, 6), 3e38), Y, centers=X[:5])
     assert torch.equal(head.decision_function(X), before)
 
 

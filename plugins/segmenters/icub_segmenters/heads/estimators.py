@@ -80,7 +80,9 @@ class _FalkonEstimator(BaseEstimator):
     def _scores(self, X: ArrayLike) -> NDArray[Any]:
         check_is_fitted(self)
         checked: Any = validate_data(self, X, reset=False, dtype=[np.float64, np.float32])
-        return self.head_.decision_function(torch.as_tensor(checked)).numpy()
+        # memory that is mapped read-only is copied: torch knows no such tensors
+        samples = checked if checked.flags.writeable else checked.copy()
+        return self.head_.decision_function(torch.as_tensor(samples)).numpy()
 
 
 class FalkonRegressor(RegressorMixin, _FalkonEstimator):

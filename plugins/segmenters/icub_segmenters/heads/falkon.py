@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from icub_core.errors import CheckpointError, ConfigError, NotFittedError, unknown_name
+from icub_core.errors import CheckpointError, ConfigError, DataError, NotFittedError, unknown_name
 from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.heads.centers import balanced_centers, check_selection, uniform_centers
 from icub_segmenters.heads.checks import check_samples, check_training_set
@@ -138,6 +138,34 @@ class Falkon(OnlineHead):
             self._system.add_problems(Y.shape[1] - known)
             weight = None if sample_weight is None else sample_weight.to(self.device)
             self._system.add(X, Y.to(self.device), weight)
+        self.adopt(self._system)
+
+    def extend_centers(self, centers: torch.Tensor, X: torch.Tensor, Y: torch.Tensor) -> None:
+        """Append centres to a fitted head; equals a fit on the same samples with all the centres.
+
+        Only the new rows and columns of the normal equations are computed: n m (M + m) products, not n (M + m)^2.
+
+        Args:
+            centers: (m, d) further centres.
+            X: (n, d) all samples so far, those of `partial_fit` included.
+            Y: (n, t) their targets.
+
+        Raises:
+            ConfigError: When conjugate gradients were used, which keep no sums to add to.
+            DataError: X is not as many samples as the head has seen; weights other than 1 cannot be extended.
+        """
+        if self._system is None:
+            raise ConfigError("extend_centers needs solver='direct' and a head that was fitted in this process")
+        check_training_set(X, Y, who="falkon")
+        check_samples(X, self._system.centers.shape[1], who="falkon")
+        check_samples(centers, self._system.centers.shape[1], who="falkon centres")
+        if len(X) != self._system.weight or Y.shape[1] != self._system.problems:
+            raise DataError(
+                f"extend_centers got X {tuple(X.shape)} and Y {tuple(Y.shape)}; expected the {self._system.weight:g} "
+                f"samples, each of weight 1, and {self._system.problems} problems that were fitted"
+            )
+        with fast_products(self.device):
+            self._system.extend_centers(centers, X, Y.to(self.device))
         self.adopt(self._system)
 
     def decision_function(self, X: torch.Tensor) -> torch.Tensor:
