@@ -251,3 +251,41 @@ def test_learning_tells_held_from_missed():
 
 def test_the_largest_opening_is_recorded_for_what_failed(world):
     assert world.grasp(from_above(0.0)).width == MAX_WIDTH
+
+
+@pytest.mark.slow
+def test_trials_with_the_robot_s_hand(monkeypatch):
+    """Poses are tried with the task's own script; some hold, some do not, and all start around the object."""
+    from icub_grasp_generators.vgn import hand_trials
+
+    monkeypatch.setattr(hand_trials, "WORLDS", 2)
+    monkeypatch.setattr(hand_trials, "PLACEMENTS", 1)
+    scenes = hand_trials.HandTrials(0).batch(0)
+    again = hand_trials.HandTrials(0).batch(0)
+    assert scenes
+    for one, other in zip(scenes, again, strict=True):
+        np.testing.assert_array_equal(one.success, other.success)
+        np.testing.assert_array_equal(one.poses, other.poses)
+    for tried in scenes:
+        assert len(tried.views) == 2
+        cloud = np.concatenate([view.points for view in tried.views])
+        gap = np.linalg.norm(tried.poses[:, None, :3, 3] - cloud[None, ::10], axis=2).min(axis=1)
+        assert np.median(gap) < 0.04
+    held = np.concatenate([s.success for s in scenes])
+    assert 0 < held.sum() < len(held)
+
+
+def test_a_batch_of_gripper_trials_is_decided_by_its_number(monkeypatch):
+    from icub_grasp_generators.vgn import gripper_trials
+
+    monkeypatch.setattr(gripper_trials, "OBJECTS", 1)
+    monkeypatch.setattr(gripper_trials, "POINTS", 12)
+    first, again = (gripper_trials.GripperTrials(3).batch(7) for _ in range(2))
+    other = gripper_trials.GripperTrials(3).batch(8)
+    assert len(first) == len(again) == gripper_trials.PLACEMENTS
+    for one, two in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.poses, two.poses)
+        np.testing.assert_array_equal(one.success, two.success)
+        assert one.object_index == two.object_index
+        assert len(one.views) == gripper_trials.VIEWS
+    assert other[0].object_index != first[0].object_index or not np.array_equal(other[0].poses, first[0].poses)
