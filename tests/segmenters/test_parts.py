@@ -20,7 +20,7 @@ from icub_segmenters.mask_geometry import boxes_of_masks, crop_masks, paste_mask
 from icub_segmenters.minibootstrap import Minibootstrap, one_vs_rest
 from icub_segmenters.normalization import Normalization
 from icub_segmenters.region_store import Regions, RegionStore
-from icub_segmenters.regions import assign
+from icub_segmenters.regions import assign, describe
 
 coordinate = st.floats(0, 100)
 box = st.tuples(coordinate, coordinate, st.floats(1, 60), st.floats(1, 60)).map(
@@ -341,3 +341,30 @@ def test_suppressed_neighbours_of_the_same_class_vote_on_the_box():
         voted(weak.take(torch.tensor([0])), weak).boxes - boxes[0]
     ).abs().max() < 0.02  # a doubtful one has little say
     assert len(voted(kept.take(torch.zeros(0, dtype=torch.int64)), candidates)) == 0
+
+
+def test_strangers_of_a_composite_are_seen_and_are_no_taught_object():
+    rng = np.random.default_rng(0)
+    compositor = Compositor.from_folder()
+    rgb, mask = np.full((60, 60, 3), 200, np.uint8), np.zeros((60, 60), bool)
+    mask[10:50, 15:45] = True
+    cutout = Cutout.of("cup", rgb, mask)
+    composites = [compositor.compose(cutout, (120, 160), rng) for _ in range(20)]
+    assert sum(len(c.strangers) for c in composites) > 20
+    for composite in composites:
+        masks = [m for _, m in composite.instances] + list(composite.strangers)
+        assert all(m.any() and m.shape == (120, 160) for m in masks)
+        assert (np.sum(masks, axis=0) <= 1).all()  # a pixel belongs to what is on top
+
+
+def test_strangers_become_described_negatives(windows, painter):
+    frame, instances = painter([("red", 30, 40, 15)])
+    image = windows.extract(frame.rgb)
+    truth, strangers = torch.tensor([[15.0, 25, 45, 55]]), torch.tensor([[80.0, 20, 110, 50]])
+    generator = torch.Generator().manual_seed(0)
+    regions = describe(windows, image, truth, torch.tensor([0]), generator, strangers)
+    own = (regions.boxes == strangers).all(dim=1)
+    assert own.sum() == 1
+    assert regions.label[own] == regions.near[own] == -1
+    without = describe(windows, image, truth, torch.tensor([0]), torch.Generator().manual_seed(0))
+    assert len(regions) == len(without) + 2  # the stranger's box and one drawn around it
