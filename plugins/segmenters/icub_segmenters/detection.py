@@ -98,7 +98,13 @@ class OnlineDetector:
     """Classifiers by Minibootstrap and box regressors by RLS on a store of regions."""
 
     def __init__(
-        self, make_head: MakeHead, procedure: Minibootstrap, *, shared: bool = True, repool: bool = True
+        self,
+        make_head: MakeHead,
+        procedure: Minibootstrap,
+        *,
+        shared: bool = True,
+        repool: bool = True,
+        vote: bool = True,
     ) -> None:
         """Configure; nothing is trained.
 
@@ -107,8 +113,10 @@ class OnlineDetector:
             procedure: Numbers of the Minibootstrap.
             shared: Train all classes on one pool instead of each on its own samples.
             repool: Look a second time at the refined boxes: scores are averaged and boxes refined again.
+            vote: Let suppressed candidates vote on the box of what suppressed them.
         """
-        self.make_head, self.procedure, self.shared, self.repool = make_head, procedure, shared, repool
+        self.make_head, self.procedure = make_head, procedure
+        self.shared, self.repool, self.vote = shared, repool, vote
         self.normalization: Normalization | None = None
         self.heads: dict[int, OnlineHead] = {}  # by class; shared: the only one under 0
         self.additions: list[Addition] = []  # classes that came after the last whole training
@@ -192,6 +200,10 @@ class OnlineDetector:
             addition.apply(scores, X)
         return torch.where(self._known, scores, NEVER)
 
+    def fresh(self) -> OnlineDetector:
+        """Return an untrained detector of the same configuration."""
+        return type(self)(self.make_head, self.procedure, shared=self.shared, repool=self.repool, vote=self.vote)
+
     def detect(self, extractor: FeatureExtractor, image: ImageFeatures, lowest_score: float) -> Detections:
         """Find the taught objects among an image's proposals.
 
@@ -205,7 +217,8 @@ class OnlineDetector:
         scores = self.scores(X)
         rows, labels = torch.nonzero(scores > lowest_score, as_tuple=True)
         found = Detections(self.coarse.refine(X[rows], boxes[rows], labels, size), labels, scores[rows, labels])
-        found = voted(suppressed(found), found)
+        kept = suppressed(found)
+        found = voted(kept, found) if self.vote else kept
         if not self.repool or len(found) == 0:
             return found
         X = self.normalization(extractor.region_features(image, found.boxes).float().cpu())

@@ -272,9 +272,7 @@ class OnlineSegmenter(Segmenter):
             part: {name[len(part) + 1 :]: t for name, t in tensors.items() if name.startswith(f"{part}.")}
             for part in ("detector", "masks", "store", "rpn")
         }
-        detector = type(self.detector)(
-            self.detector.make_head, self.procedure, shared=self.detector.shared, repool=self.detector.repool
-        )
+        detector = self.detector.fresh()
         masks, store = OnlineMasks(self.masks.make_head), RegionStore(self.extractor.region_dim, self.seed)
         detector.load_state_dict(parts["detector"])
         masks.load_state_dict(parts["masks"])
