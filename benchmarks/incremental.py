@@ -7,7 +7,7 @@
 21 objects of the rendered table-top task are taught and learnt; then another object is shown alone. It is learnt by
 `OnlineSegmenter.add_classes`, which leaves the others as they are, and, from the same frames, by `update`, which trains
 all classes anew as thesis 11.8.1 does. Old classes are examined before and after on test frames on which the new object
-does not occur; the new one on frames where it stands among old ones.
+does not occur; the new one on frames where it stands among old ones, and so is how often it is taken for one of them.
 
 Rendered frames are kept in the user's cache folder and made when they are missing.
 """
@@ -70,14 +70,17 @@ def run(options: argparse.Namespace, seed: int, progress: Progress) -> dict[str,
     segmenter.update()
     old = list(segmenter.classes)
     before = examine(segmenter, test, old, "examining", progress)
+    mistaken_before = mistaken(segmenter, among, "mistaken for old ones", progress)
     show(segmenter, lessons, len(lessons), "showing one more", progress)
     added = segmenter.add_classes()
     after = examine(segmenter, test, old, "examining after the addition", progress)
     new = examine(segmenter, among, [NEW], "examining the new object", progress)
-    corrected = segmenter.detector.additions[0].corrected
+    mistaken_after = mistaken(segmenter, among, "mistaken for old ones", progress)
+    yielding = segmenter.detector.additions[0].yielding
     whole = segmenter.update()
     retrained = examine(segmenter, test, old, "examining after training anew", progress)
     new_retrained = examine(segmenter, among, [NEW], "examining the new object", progress)
+    mistaken_retrained = mistaken(segmenter, among, "mistaken for old ones", progress)
     for data in (train, test, lessons, among):
         data.close()
     return {
@@ -90,7 +93,10 @@ def run(options: argparse.Namespace, seed: int, progress: Progress) -> dict[str,
         "old_map50_change_retrained": 100 * (retrained.map50_segm - before.map50_segm),
         "new_ap50": 100 * new.map50_segm,
         "new_ap50_retrained": 100 * new_retrained.map50_segm,
-        "corrected_classes": float(len(corrected)),
+        "yielding_classes": float(len(yielding)),
+        "mistaken_before": 100 * mistaken_before,
+        "mistaken_after": 100 * mistaken_after,
+        "mistaken_retrained": 100 * mistaken_retrained,
     }
 
 
@@ -111,6 +117,18 @@ def examine(
     return evaluate_instances(truth, found, classes)
 
 
+def mistaken(segmenter: Segmenter, frames: RenderedTabletop, title: str, progress: Progress) -> float:
+    """Return the share of new objects on which an old class is reported with a score above 0, overlap 0.5 or more."""
+    count = wrong = 0
+    for frame, instances in progress.track(frames, total=len(frames), description=title):
+        found = [i for i in segmenter.segment(frame) if i.label != NEW and i.score > 0]
+        for new in instances:
+            count += 1
+            overlaps = ((i.mask & new.mask).sum() / (i.mask | new.mask).sum() for i in found)
+            wrong += any(overlap >= 0.5 for overlap in overlaps)
+    return wrong / max(count, 1)
+
+
 def largest_change(before: DetectionMetrics, after: DetectionMetrics) -> float:
     """Return the largest absolute change of a class's mask AP50, in points."""
     changes = [
@@ -121,7 +139,7 @@ def largest_change(before: DetectionMetrics, after: DetectionMetrics) -> float:
     return 100 * max(changes)
 
 
-UNITS = {"old_classes": "1", "corrected_classes": "1", "add_class_s": "s", "retrain_s": "s"}
+UNITS = {"old_classes": "1", "yielding_classes": "1", "add_class_s": "s", "retrain_s": "s"}
 LARGEST = ("old_class_change", "old_class_change_retrained")
 """Of these the largest of all runs is reported, not the mean."""
 

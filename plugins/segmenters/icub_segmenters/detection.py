@@ -165,7 +165,7 @@ class OnlineDetector:
         self._known[store.label[store.label >= 0].unique()] = True
 
     def add_classes(self, store: RegionStore, classes: int, generator: torch.Generator) -> None:
-        """Train only the classes that are new since the last training; see `incremental` for what old ones may lose.
+        """Train only the classes that are new since the last training; see `incremental` for which old ones yield.
 
         The scale of features and the old classes' box regressors stay as they are.
 
@@ -180,9 +180,8 @@ class OnlineDetector:
         X = self.normalization(store.features)
         for c in range(known, classes):
             negatives = class_negatives(store, c, self.procedure.budget, generator)
-            addition = add_class(
-                c, self.procedure, self.make_head, X, store.label, negatives, self.scores, generator
-            )  # before the class is known: `scores` are the old ones
+            # `scores` are still those of the old classes
+            addition = add_class(c, self.procedure, self.make_head, X, store.label, negatives, self.scores)
             self._known = torch.cat([self._known, torch.tensor([addition is not None])])
             if addition is not None:
                 self.additions.append(addition)
@@ -241,7 +240,7 @@ class OnlineDetector:
                 state |= {f"{name}.{c}.{key}": value for key, value in head.state_dict().items()}
         for a in self.additions:
             state |= {f"added.{a.number}.{key}": value for key, value in a.head.state_dict().items()}
-            state[f"corrected.{a.number}"] = torch.tensor(a.corrected, dtype=torch.int64)
+            state[f"yielding.{a.number}"] = torch.tensor(a.yielding, dtype=torch.int64)
         return state
 
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
@@ -260,10 +259,10 @@ class OnlineDetector:
             loaded[name][int(number)] = head
         if self.shared and set(loaded["head"]) != {0}:
             raise CheckpointError("the detector's state has one classifier a class; expected one for all (mode=shared)")
-        if any(f"corrected.{c}" not in state for c in loaded["added"]):
-            raise CheckpointError("the detector's state has an added class without the classes that it corrects")
+        if any(f"yielding.{c}" not in state for c in loaded["added"]):
+            raise CheckpointError("the detector's state has an added class without the classes that yield to it")
         self.additions = [
-            Addition(c, head, tuple(state[f"corrected.{c}"].tolist())) for c, head in sorted(loaded["added"].items())
+            Addition(c, head, tuple(state[f"yielding.{c}"].tolist())) for c, head in sorted(loaded["added"].items())
         ]
         self.normalization, self.heads = normalization, loaded["head"]
         self._known = known

@@ -57,14 +57,8 @@ class Minibootstrap:
         Returns:
             The head after the last round, or None without positives: such a class is never found.
         """
-        return self.train_class_and_keep(make_head, X, positives, negatives)[0]
-
-    def train_class_and_keep(
-        self, make_head: MakeHead, X: torch.Tensor, positives: torch.Tensor, negatives: torch.Tensor
-    ) -> tuple[OnlineHead | None, torch.Tensor]:
-        """Do as `train_class`, and return the row numbers of the negatives of the last round too."""
         if len(positives) == 0:
-            return None, negatives[:0]
+            return None
         head = make_head()
         first, *rest = negatives[: self.budget].split(self.batch_size) if len(negatives) else (negatives,)
         chosen = first
@@ -73,7 +67,7 @@ class Minibootstrap:
             chosen = chosen[_scores(head, X, chosen) >= self.easy]
             chosen = torch.cat([chosen, batch[_scores(head, X, batch) > self.hard]])
             _fit(head, X, positives, chosen)
-        return head, chosen
+        return head
 
     def train_shared(
         self, make_head: MakeHead, X: torch.Tensor, label: torch.Tensor, negatives: torch.Tensor, classes: int
