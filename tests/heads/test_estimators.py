@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from sklearn.datasets import load_iris, make_regression
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.model_selection import GridSearchCV
@@ -33,6 +35,18 @@ def test_grid_search_over_the_width_works():
     search = GridSearchCV(pipeline, {"falkonclassifier__sigma": [0.05, 2.0]}, cv=3).fit(X, y)
     assert search.best_params_ == {"falkonclassifier__sigma": 2.0}
     assert search.best_score_ > 0.93
+
+
+@settings(max_examples=10, deadline=None)
+@given(names=st.permutations(["cup", "box", "can"]), seed=st.integers(0, 1000))
+def test_the_names_of_classes_and_the_order_of_samples_do_not_matter(names, seed):
+    X, y = load_iris(return_X_y=True)
+    order = np.random.default_rng(seed).permutation(len(X))
+    plain = FalkonClassifier(sigma=1.0, lam=1e-4).fit(X, y)
+    renamed = FalkonClassifier(sigma=1.0, lam=1e-4).fit(X[order], np.array(names)[y[order]])
+    assert (renamed.predict(X) == np.array(names)[plain.predict(X)]).all()
+    columns = [list(renamed.classes_).index(name) for name in names]
+    np.testing.assert_allclose(renamed.decision_function(X)[:, columns], plain.decision_function(X), atol=1e-6)
 
 
 def test_the_checks_would_notice_a_broken_estimator():

@@ -1,0 +1,47 @@
+"""What the Minibootstrap promises whatever the classes are called and however samples are scaled."""
+
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from icub_segmenters.heads.falkon import Falkon
+from icub_segmenters.minibootstrap import Minibootstrap
+
+
+def samples(seed, classes=3, each=15, background=80, dim=8):
+    generator = torch.Generator().manual_seed(seed)
+    label = torch.arange(classes).repeat_interleave(each)
+    X = 3 * torch.randn(classes, dim, generator=generator)[label] + torch.randn(len(label), dim, generator=generator)
+    X = torch.cat([X, 3 * torch.randn(background, dim, generator=generator)])
+    return X.double(), torch.cat([label, torch.full((background,), -1)])
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 1000), order=st.permutations([0, 1, 2]), scale=st.floats(0.1, 10))
+def test_names_of_classes_and_units_of_features_do_not_matter(seed, order, scale):
+    X, label = samples(seed)
+    negatives = torch.nonzero(label < 0).flatten()
+    procedure = Minibootstrap(3, 25)
+    renamed = torch.where(label >= 0, torch.tensor(order)[label], -1)
+    shared = procedure.train_shared(lambda: Falkon(sigma=4.0, lam=1e-4, centers=40), X, label, negatives, 3)
+    other = procedure.train_shared(
+        lambda: Falkon(sigma=4.0 * scale, lam=1e-4, centers=40), scale * X, renamed, negatives, 3
+    )
+    torch.testing.assert_close(
+        other.decision_function(scale * X)[:, order], shared.decision_function(X), atol=1e-5, rtol=0
+    )
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 1000))
+def test_one_class_alone_is_the_same_trained_shared_or_faithfully_when_all_fits_one_batch(seed):
+    X, label = samples(seed, classes=1)
+    positives, negatives = torch.nonzero(label == 0).flatten(), torch.nonzero(label < 0).flatten()
+    procedure = Minibootstrap(1, 200)
+
+    def head():
+        return Falkon(sigma=4.0, lam=1e-4, centers=1000)
+
+    shared = procedure.train_shared(head, X, label, negatives, 1)
+    faithful = procedure.train_class(head, X, positives, negatives)
+    torch.testing.assert_close(shared.decision_function(X), faithful.decision_function(X), atol=1e-6, rtol=0)
