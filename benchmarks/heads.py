@@ -198,6 +198,33 @@ def seconds(call: Callable[[], object], repetitions: int = REPETITIONS) -> list[
     return times
 
 
+def once(call: Callable[[], object]) -> float:
+    """Return the seconds of one call."""
+    begun = time.perf_counter()
+    call()
+    return time.perf_counter() - begun
+
+
+def peak_memory(call: Callable[[], object]) -> dict[str, float]:
+    """Return what a call adds to the resident memory at most, in bytes, under "bytes"; nothing where Linux cannot say.
+
+    Memory that the process already holds but does not use is not counted, so this is a lower bound.
+    """
+    status = Path("/proc/self/status")
+
+    def resident(what: str) -> float:
+        line = next(line for line in status.read_text().splitlines() if line.startswith(what))
+        return 1024.0 * float(line.split()[1])
+
+    try:
+        Path("/proc/self/clear_refs").write_text("5")  # resets the high-water mark
+        before = resident("VmRSS")
+        call()
+        return {"bytes": resident("VmHWM") - before}
+    except OSError:
+        return {}
+
+
 def limit(sizes: Sizes, seed: int, _: Progress) -> Iterator[dict[str, Figure]]:
     """Measure the shared solve beside the time of its arithmetic."""
     n, d, M, t = sizes.samples, sizes.dim, sizes.centers, sizes.classes
@@ -268,9 +295,10 @@ def _solves(sizes: Sizes, n: int, seed: int) -> dict[str, Figure]:
     times = statistics.median(seconds(lambda: ours.fit(X, Y), 3))
     arrays = X.numpy(), Y.numpy()
     theirs.fit(arrays[0][: 2 * M], arrays[1][: 2 * M])  # awake
-    begun = time.perf_counter()
-    theirs.fit(*arrays)
-    rival = time.perf_counter() - begun
+    rivals: list[float] = []
+    memory = {"": peak_memory(lambda: ours.fit(X, Y))}
+    memory["_sklearn"] = peak_memory(lambda: rivals.append(once(lambda: theirs.fit(*arrays))))
+    rival = rivals[-1] if rivals else once(lambda: theirs.fit(*arrays))
     figures = {
         f"{key}.s": Figure(times, "s", n=3),
         f"{key}.speedup": Figure(rival / times, "1"),
@@ -280,6 +308,8 @@ def _solves(sizes: Sizes, n: int, seed: int) -> dict[str, Figure]:
             "points",
         ),
     }
+    for suffix, found in memory.items():
+        figures |= {f"{key}.peak{suffix}_{unit}": Figure(value, "B") for unit, value in found.items()}
     if (library := _falkon_library(sizes)) is not None:
         figures[f"{key}.speedup_over_library"] = Figure(
             statistics.median(seconds(lambda: library(X, Y), 3)) / times, "1"
