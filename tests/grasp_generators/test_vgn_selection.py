@@ -33,15 +33,28 @@ def blob(quality, at, height):
     quality[i - 2 : i + 3, j - 2 : j + 3, k - 2 : k + 3] = height
 
 
-def test_one_grasp_a_peak_best_first(outputs):
+def test_the_best_first_and_none_beside_a_better_one(outputs):
     tsdf, quality, rotation, width = outputs
     blob(quality, (22, 10, 10), 0.8)
     blob(quality, (22, 30, 20), 1.0)
-    found = select(tsdf, quality, rotation, width, threshold=0.5)
-    np.testing.assert_array_equal(found.index, [[22, 30, 20], [22, 10, 10]])
-    assert 1.0 > found.quality[0] > found.quality[1] > 0.5
-    np.testing.assert_array_equal(found.quaternion, 2 * [[0, 0, 0, 1]])
+    found = select(tsdf, quality, rotation, width, threshold=0.7)
+    np.testing.assert_array_equal(found.index[0], [22, 30, 20])
+    assert 1.0 > found.quality[0] > 0.9
+    assert np.all(np.diff(found.quality) <= 0)
+    assert found.quality[-1] >= 0.7
+    np.testing.assert_array_equal(found.quaternion[0], [0, 0, 0, 1])
+    apart = np.abs(found.index[:, None] - found.index[None]).max(axis=2)
+    assert apart[~np.eye(len(apart), dtype=bool)].min() > 2
+    assert any(np.array_equal(index, [22, 10, 10]) for index in found.index)
     assert len(select(tsdf, quality, rotation, width, threshold=0.9).index) == 1
+
+
+def test_a_wide_region_gives_many_grasps_all_over_it(outputs):
+    tsdf, quality, rotation, width = outputs
+    quality[20:26, 5:35, 5:35] = 0.9
+    index = select(tsdf, quality, rotation, width, threshold=0.5).index
+    assert len(index) == 64
+    assert np.ptp(index[:, 1]) > 15
 
 
 def test_smoothing_takes_a_lonely_voxel_away(outputs):

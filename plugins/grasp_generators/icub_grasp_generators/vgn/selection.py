@@ -1,6 +1,7 @@
-"""From the network's outputs to a short list of grasps: smooth, mask, threshold, keep local maxima.
+"""From the network's outputs to a short list of grasps: smooth, mask, threshold, keep the best of every neighbourhood.
 
-Source: Breyer et al. 2020 and the released code's detection.
+Source: Breyer et al. 2020 and the released code's detection. DIFF: there, local maxima alone are kept; a smooth quality
+has one or two, and an arm often reaches neither. Here a voxel is kept unless a better one within 1.5 cm was.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ SURFACE_REACH = 2
 """Voxels that a grasp may lie beyond what was measured as outside of the surface."""
 WIDTHS = (1.33, 9.33)
 """Openings that the gripper has, voxels of 7.5 mm."""
-PEAK_SIZE = 4
-"""Edge of the cube in which a grasp must be the best, voxels."""
+SUPPRESSED = 2
+"""Voxels along each axis around a chosen one from which no other is chosen."""
+MOST = 64
+"""Voxels chosen of one field."""
 _INSIDE = 1e-3
 
 
@@ -63,13 +66,26 @@ def select(
     if widths is not None:
         smooth[(width < widths[0]) | (width > widths[1])] = 0.0
     smooth[smooth < threshold] = 0.0
-    peak = (smooth > 0) & (smooth == ndimage.maximum_filter(smooth, size=PEAK_SIZE))
-    index = np.argwhere(peak)
-    index = index[np.argsort(-smooth[peak], kind="stable")]
+    index = _best_apart(smooth)
     i, j, k = index.T
     return Selected(
         index, smooth[i, j, k], rotation[:, i, j, k].T.astype(np.float64), width[i, j, k].astype(np.float64)
     )
+
+
+def _best_apart(quality: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return voxels (K, 3) with a quality above 0, best first, none within `SUPPRESSED` of a better one."""
+    candidates = np.argwhere(quality > 0)
+    candidates = candidates[np.argsort(-quality[tuple(candidates.T)], kind="stable")]
+    free, chosen = np.ones(quality.shape, dtype=np.bool_), []
+    for i, j, k in candidates:
+        if free[i, j, k]:
+            chosen.append((i, j, k))
+            low_i, low_j, low_k = max(i - SUPPRESSED, 0), max(j - SUPPRESSED, 0), max(k - SUPPRESSED, 0)
+            free[low_i : i + SUPPRESSED + 1, low_j : j + SUPPRESSED + 1, low_k : k + SUPPRESSED + 1] = False
+            if len(chosen) == MOST:
+                break
+    return np.array(chosen, dtype=np.intp).reshape(-1, 3)
 
 
 def near_surface(tsdf: NDArray[np.float32]) -> NDArray[np.bool_]:
