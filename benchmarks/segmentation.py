@@ -75,9 +75,11 @@ METHODS = {
 """By the name in tables and results: output_layers is Mask R-CNN (output layers), the next three are its variants."""
 FULL = {
     "mask_rcnn": "mask_rcnn",
+    "ours_on_target_features": "falkon,feature_extractor.weights={mask_rcnn}",
     "mask_rcnn_one_epoch": "mask_rcnn,segmenter.epochs=1",
     "mask_rcnn_one_epoch_unshuffled": "mask_rcnn,segmenter.epochs=1,segmenter.shuffle=false",
 }
+"""With --full; the second takes its features from the network of the first (table 10.2)."""
 CURVES = {
     "Ours, batches of the Minibootstrap": [f"falkon,segmenter.batches={n}" for n in (2, 5, 15)] + [OURS],
     "Mask R-CNN (output layers), epochs": [f"output_layers,segmenter.epochs={n}" for n in (1, 3)] + [OUTPUT_LAYERS],
@@ -165,10 +167,13 @@ class Method:
                 found.append((module, name, value))
         return found
 
-    def config(self, seed: int, device: str, task: str) -> Any:
-        """Compose the configuration of one run; only what the segmenter is made of."""
+    def config(self, seed: int, device: str, task: str, network: Path) -> Any:
+        """Compose the configuration of one run; only what the segmenter is made of.
+
+        `network` is the folder of the fine-tuned network of this task and run.
+        """
         plugin = self.text.split(",")[0]
-        overrides = list(self.overrides)
+        overrides = [o.replace("{mask_rcnn}", str(network / "mask_rcnn.safetensors")) for o in self.overrides]
         if plugin == "output_layers" and task in EPOCHS and not any("epochs" in o for o in overrides):
             overrides.append(f"segmenter.epochs={EPOCHS[task]}")
         return compose([f"segmenter={plugin}", f"seed={seed}", f"device={device}", *overrides])
@@ -329,8 +334,9 @@ def _run_all(tasks: list[Task], methods: list[Method], options: argparse.Namespa
         for task in tasks:
             for number in range(options.runs):
                 data: list[Dataset] = []
+                network = options.work / f"{task.name}-{number}-{options.train_frames}-network"
                 for method in methods:
-                    config = method.config(number, options.device, task.name)
+                    config = method.config(number, options.device, task.name, network)
                     bar = bars.add_task(f"{task.name} {method.name} run {number + 1}", total=1.0, doing="")
 
                     def progress(share: float, doing: str, bar: Any = bar) -> None:
@@ -342,7 +348,8 @@ def _run_all(tasks: list[Task], methods: list[Method], options: argparse.Namespa
                         run = Run(Trial.from_dict(content["trial"]), content["heads_share"])
                     else:
                         data = data or list(task.splits(options.train_frames, options.test_frames, number))
-                        run = _run(method, config, data[0], data[1], progress)
+                        keep = network if method.name == "mask_rcnn" else None
+                        run = _run(method, config, data[0], data[1], progress, keep)
                         content = {"trial": run.trial.as_dict(), "heads_share": run.heads_share}
                         write_text_atomically(file, json.dumps(content, indent=1))
                     runs[task.name, method.name].append(run)
@@ -354,9 +361,11 @@ def _run_all(tasks: list[Task], methods: list[Method], options: argparse.Namespa
     return runs
 
 
-def _run(method: Method, config: Any, train: Dataset, test: Dataset, progress: Any) -> Run:
+def _run(method: Method, config: Any, train: Dataset, test: Dataset, progress: Any, keep: Path | None) -> Run:
     with method.segmenter(config) as segmenter:
         trial = run_trial(segmenter, train, test, progress)
+        if keep is not None:
+            segmenter.save(keep)
         frames = [test[i][0] for i in range(min(SHARE_FRAMES, len(test)))]
         return Run(trial, heads_share(segmenter, frames))
 

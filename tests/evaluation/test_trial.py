@@ -160,7 +160,7 @@ def test_constants_are_changed_for_one_trial_and_put_back(benchmark):
     from icub_segmenters import regions
 
     method = benchmark.Method("few", "falkon,icub_segmenters.regions.JITTERED=2,features=0:256")
-    config = method.config(0, "cpu", "tabletop")
+    config = method.config(0, "cpu", "tabletop", Path())
     before = regions.JITTERED
     with method.segmenter(config) as segmenter:
         assert regions.JITTERED == 2 != before

@@ -19,17 +19,26 @@ from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import CheckpointError, ConfigError, NotFittedError, WeightsError
 from icub_core.files import write_atomically
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
-from icub_segmenters.feature_extractors.compact import CompactMaskRcnn, CompactRegions, load_compact
+from icub_segmenters.feature_extractors.compact import (
+    CENTER,
+    SCALE,
+    CompactMaskRcnn,
+    CompactRegions,
+    calibrate,
+    load_compact,
+)
 from icub_segmenters.feature_extractors.evaluation import detect
 from icub_segmenters.feature_extractors.network import CompactNetwork
 from icub_segmenters.feature_extractors.region_network import RegionExtractor
-from icub_segmenters.feature_extractors.weights import SHIPPED, fill, read_safetensors
+from icub_segmenters.feature_extractors.weights import SHIPPED, read_safetensors
 from icub_segmenters.lesson import check_masks
 from icub_segmenters.mask_geometry import boxes_of_masks
 
 FILE = "mask_rcnn.safetensors"
 BATCH = 4
 CLIP_NORM = 10.0
+CALIBRATED = 20
+"""Frames on whose proposals the scale of the new region features is measured."""
 
 
 class MaskRcnn(Segmenter):
@@ -67,7 +76,8 @@ class MaskRcnn(Segmenter):
         if epochs < 1:
             raise ConfigError(f"epochs is {epochs}; expected at least 1")
         path = SHIPPED / f"{weights}.safetensors" if weights == Path(weights).stem else Path(weights)
-        self._pretrained, self._center, self._scale = load_compact(path)
+        self._pretrained, *statistics = load_compact(path)
+        self._statistics = statistics[0], statistics[1]  # centre and scale of the region features
         self.epochs, self.learning_rate, self.weight_decay = epochs, learning_rate, weight_decay
         self.shuffle, self.seed = shuffle, seed
         self._frames: list[tuple[RgbdFrame, tuple[Instance, ...]]] = []
@@ -75,7 +85,7 @@ class MaskRcnn(Segmenter):
         self._trained: tuple[str, ...] = ()
         self._network: CompactNetwork | None = None
         self._extractor: RegionExtractor | None = None
-        self._regions = CompactRegions(copy.deepcopy(self._pretrained), self._center, self._scale)
+        self._regions = CompactRegions(copy.deepcopy(self._pretrained), *self._statistics)
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -122,7 +132,9 @@ class MaskRcnn(Segmenter):
                     nn.utils.clip_grad_norm_(list(network.parameters()), CLIP_NORM)
                     optimizer.step()
                     schedule.step()
-        self._adopt(network, tuple(self._labels))
+        network = network.eval().requires_grad_(False)
+        seen = [self._example(*self._frames[number])[0] for number in usable[:: -(-len(usable) // CALIBRATED)]]
+        self._adopt(network, tuple(self._labels), calibrate(network, seen))
         seconds = time.perf_counter() - start
         counts = {c: sum(i.label == c for _, instances in self._frames for i in instances) for c in self._trained}
         return UpdateReport(seconds, {"network": seconds}, self._trained, counts)
@@ -135,23 +147,29 @@ class MaskRcnn(Segmenter):
         return tuple(instance for instance in found if instance.mask.any())
 
     def save(self, path: Path) -> None:
-        """Write the whole network to the folder `path`; the frames are not part of it."""
+        """Write the whole network to the folder `path`, as mask_rcnn.safetensors; the frames are not part of it.
+
+        The file can be given to ``feature_extractor=compact`` as ``weights``: features of the TARGET-TASK's own network
+        (thesis table 10.2).
+        """
         if self._network is None:
             raise NotFittedError("nothing was taught yet: there is nothing to save")
         state = {name: tensor.contiguous() for name, tensor in self._network.state_dict().items()}
-        metadata = {"labels": json.dumps(self._trained)}
+        state |= {CENTER: self._statistics[0], SCALE: self._statistics[1]}
+        classes = len(self._trained)
+        metadata = {"labels": json.dumps(self._trained), "architecture": "compact", "classes": str(classes)}
         write_atomically(path / FILE, lambda file: save_file(state, file, metadata))
 
     def load(self, path: Path) -> None:
         """Read what `save` wrote; CheckpointError for anything else, and the segmenter stays as it was."""
         try:
-            tensors, metadata = read_safetensors(path / FILE)
-            labels = list(json.loads(metadata["labels"]))
-            network = CompactNetwork(len(labels))
-            fill(network, tensors, str(path / FILE))
+            labels = list(json.loads(read_safetensors(path / FILE)[1]["labels"]))
+            network, *statistics = load_compact(path / FILE)
+            if network.classes != len(labels):
+                raise ValueError(f"{len(labels)} labels for {network.classes} classes")
         except (WeightsError, KeyError, ValueError, TypeError) as error:
             raise CheckpointError(f"{path} holds no fine-tuned network: {error}") from error
-        self._adopt(network.eval().requires_grad_(False), tuple(labels))
+        self._adopt(network, tuple(labels), (statistics[0], statistics[1]))
         self._labels, self._frames = labels, []
 
     def _fresh(self, classes: int) -> CompactNetwork:
@@ -193,11 +211,13 @@ class MaskRcnn(Segmenter):
         target = {"boxes": boxes[visible], "labels": labels[visible], "masks": stacked[visible]}
         return torch.from_numpy(np.array(rgb)).permute(2, 0, 1), target
 
-    def _adopt(self, network: CompactNetwork, labels: tuple[str, ...]) -> None:
-        self._network = network.eval().requires_grad_(False)
+    def _adopt(
+        self, network: CompactNetwork, labels: tuple[str, ...], statistics: tuple[torch.Tensor, torch.Tensor]
+    ) -> None:
+        self._network, self._statistics = network.eval().requires_grad_(False), statistics
         # folding changes the network that is used, so it gets a copy
-        regions = CompactRegions(copy.deepcopy(self._network), self._center, self._scale)
-        self._extractor, self._trained = RegionExtractor(regions), labels
+        self._extractor = RegionExtractor(CompactRegions(copy.deepcopy(self._network), *statistics))
+        self._trained = labels
 
 
 def _batches(numbers: Sequence[int]) -> Iterator[Sequence[int]]:
