@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from icub_core.data import PointCloud
+from icub_core.data import PointCloud, RgbdFrame
 from icub_core.errors import DataError
 from icub_core.geometry import look_at
 from icub_grasp_generators.vgn.volume import RESOLUTION, SIZE, TRUNCATION, VOXEL, Volume
@@ -129,3 +129,12 @@ def test_voxels_and_points(index, origin):
     assert np.all(point < volume.origin + SIZE)
     np.testing.assert_array_equal(volume.index_of(point), index)
     np.testing.assert_array_equal(volume.index_of(point + 0.49 * VOXEL), index)
+
+
+def test_a_cloud_knows_where_its_camera_stood():
+    T = look_at(FRONT, CENTER)
+    depth = np.full((4, 6), 0.5, dtype=np.float32)
+    frame = RgbdFrame(np.zeros((4, 6, 3), np.uint8), depth, np.array([[50.0, 0, 2.5], [0, 50, 1.5], [0, 0, 1]]), T)
+    np.testing.assert_array_equal(frame.to_cloud().viewpoint, FRONT)
+    with pytest.raises(DataError, match="viewpoint is"):
+        PointCloud(np.zeros((2, 3)), viewpoint=np.zeros(2))

@@ -26,8 +26,8 @@ SHIFT = 0.03
 """Metres; half range of the cube's place around the object, so that no place in it is special."""
 NOISE = 0.001
 """Metres; standard deviation of the points."""
-MOST_OF_SCENE = 16
-"""Trials of one scene that one step uses."""
+MOST_OF_SCENE = 12
+"""Held trials of one scene that one step uses."""
 HAND_TURN = np.radians(50.0)
 """Largest turn of a scene about the vertical where trials are a hand's."""
 MOST_POINTS = 4000
@@ -68,10 +68,10 @@ class Draw:
     width: FloatArray
 
     def balanced(self, rng: np.random.Generator) -> Draw:
-        """Return some of the trials: as many held as not where there are, at least two of each."""
+        """Return the trials that held and as many that did not, at least two; each at most `MOST_OF_SCENE`."""
         held, missed = np.flatnonzero(self.label), np.flatnonzero(~self.label)
-        each = max(min(len(held), len(missed), MOST_OF_SCENE // 2), 2)
-        part = np.concatenate([rng.permutation(held)[:each], rng.permutation(missed)[:each]])
+        held = rng.permutation(held)[:MOST_OF_SCENE]
+        part = np.concatenate([held, rng.permutation(missed)[: max(len(held), 2)]])
         return Draw(self.tsdf, self.index[part], self.label[part], self.quaternion[part], self.width[part])
 
 

@@ -43,7 +43,7 @@ log = logging.getLogger(__name__)
 Progress = Callable[[float, str], None]
 
 SCENES_PER_STEP = 8
-LEARNING_RATE = 1e-3
+LEARNING_RATE = 2e-3
 WIDTH_WEIGHT = 0.01
 """Of the squared error of the width in voxels (original)."""
 CHECKPOINT_SECONDS = 60.0
