@@ -287,3 +287,23 @@ def test_every_variant_of_the_robot_closes_its_hands(engine, options):
     position = {name: q[i] for i, name in enumerate(d.joint_names)}
     for coupled in d.coupled_joints:
         assert position[coupled.joint] == pytest.approx(coupled.multiplier * position[coupled.leader], abs=0.03)
+
+
+def test_what_a_grasping_task_reads_is_what_the_single_calls_say(world, ycb, standing):
+    world.reset()
+    spec = ycb.get("004_sugar_box")
+    world.set_object_pose(spec.name, standing(spec, yaw=0.3))
+    for _ in range(2):
+        world.step(5)
+        T, lengths, touch, position = world.hand_and_object("r_hand_dh_frame", "right", spec.name)
+        np.testing.assert_allclose(T, world.link_pose("r_hand_dh_frame"), atol=1e-12)
+        np.testing.assert_array_equal(lengths, world.actuator_positions())
+        np.testing.assert_array_equal(touch, world.fingertip_contacts("right"))
+        np.testing.assert_array_equal(position, world.object_pose(spec.name)[:3, 3])
+    for frame, hand, name in [
+        ("r_hnd", "right", spec.name),
+        ("r_hand", "rihgt", spec.name),
+        ("r_hand", "right", "box"),
+    ]:
+        with pytest.raises(ConfigError):
+            world.hand_and_object(frame, hand, name)

@@ -201,11 +201,14 @@ class TaskBatch:
             self._read(world)
 
     def _read(self, world: int) -> None:
-        simulator = self._simulators[world]
-        self._hand[world] = simulator.link_pose(self.layout.frame)
-        self._fingers[world] = simulator.actuator_positions()[self.layout.fingers]
-        self._touch[world] = simulator.fingertip_contacts(self.layout.side)
-        self._object[world] = simulator.object_pose(self._objects[world])[:3, 3]
+        layout = self.layout
+        T_hand, lengths, touch, position = self._simulators[world].hand_and_object(
+            layout.frame, layout.side, self._objects[world]
+        )
+        self._hand[world] = T_hand
+        self._fingers[world] = lengths[layout.fingers]
+        self._touch[world] = touch
+        self._object[world] = position
 
     def _distance(self) -> FloatArray:
         """(N,) distance of the estimated centre from the hand's z axis, metres."""

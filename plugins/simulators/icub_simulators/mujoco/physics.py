@@ -16,7 +16,7 @@ from icub_core.interfaces.simulator import Fault
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import Scene
 from icub_simulators.mujoco.builder import build_physics, parking_place
-from icub_simulators.mujoco.index import ObjectSlots, build_index
+from icub_simulators.mujoco.index import LinkSlot, ObjectSlots, build_index
 
 FloatArray = NDArray[np.float64]
 
@@ -60,9 +60,10 @@ class Physics:
         self._ctrl, self._qvel = self.data.ctrl, self.data.qvel
         self._positions, self._rotations = self.data.xpos, self.data.xmat.reshape(-1, 3, 3)
         self._ones = np.ones(self.model.nu)
+        self._frame = np.eye(4)
+        self._places: dict[tuple[str, str, str], tuple[LinkSlot, int]] = {}
         self._no_warnings = bytes(self.data.warning.number.nbytes)
-        self._speed = np.empty(self.model.nv)
-        self._per_speed = 1.0 / index.velocity_limits
+        self._slow = float(index.velocity_limits.min(initial=np.inf)) ** 2
         self._tip_codes = {hand: self._contact_codes(tips) for hand, tips in index.fingertip_of_geom.items()}
         self._stale = True
         self._seen: set[Fault] = set()
@@ -201,19 +202,39 @@ class Physics:
             raise ConfigError(unknown_name("hand with fingertips", hand, self._tip_codes))
         if self._stale:
             self._refresh()
-        touched = np.zeros(2 * _OTHER + 1, dtype=bool)
+        touched = [False] * 5
         if self.data.ncon:
-            pair = codes[self.data.contact.geom]  # (ncon, 2)
-            touched[pair[:, 0] + pair[:, 1]] = True
-        return touched[_OBJECT : _OBJECT + 5]
+            for first, second in self.data.contact.geom.tolist():  # a few contacts: faster than five array operations
+                finger = codes[first] + codes[second] - _OBJECT
+                if 0 <= finger < 5:
+                    touched[finger] = True
+        return np.array(touched)
 
-    def _contact_codes(self, fingertip_of_geom: NDArray[np.int8]) -> NDArray[np.intp]:
+    def hand_and_object(
+        self, frame: str, hand: str, name: str
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], FloatArray]:
+        """Return T_world_frame (4, 4), actuator lengths (m,), fingertip contacts (5,), object position (3,)."""
+        places = self._places.get((frame, hand, name))
+        if places is None:
+            self.link_pose(frame), self.fingertip_contacts(hand)  # refuse unknown names once
+            places = self._places[frame, hand, name] = (self.index.links[frame], self.slots(name).body)
+        link, thing = places
+        if self._stale:
+            self._refresh()
+        T = self._frame
+        T[:3, :3] = self._rotations[link.body]
+        T[:3, 3] = self._positions[link.body]
+        T = T.copy() if link.offset is None else T.dot(link.offset)
+        return T, self.actuator_positions(), self.fingertip_contacts(hand), self._positions[thing]
+
+    def _contact_codes(self, fingertip_of_geom: NDArray[np.int8]) -> list[int]:
         """Number geoms such that only the sum of finger f and an object is `_OBJECT` + f."""
         codes = np.full(self.model.ngeom, _OTHER, dtype=np.intp)
         codes[self._is_object] = _OBJECT
         fingers = fingertip_of_geom >= 0
         codes[fingers] = fingertip_of_geom[fingers]
-        return codes
+        numbers: list[int] = codes.tolist()
+        return numbers
 
     def touching(self, name: str) -> bool:
         """Say whether the robot touches the object anywhere."""
@@ -258,9 +279,10 @@ class Physics:
                 self._seen.add(Fault.NOT_A_NUMBER)
             if warnings[_FULL_WARNINGS].any():
                 self._seen.add(Fault.DROPPED_CONTACTS)
-        speed = np.multiply(self._qvel, self._per_speed, out=self._speed)
-        # cheap test first: squares that sum to less than 1 are each below 1; a NaN fails it
-        if not speed.dot(speed) <= 1.0 and not np.all(np.abs(speed) <= 1.0):
+        # cheap test first, which a NaN fails: what moves slower than the least limit altogether is slow enough
+        if not self._qvel.dot(self._qvel) <= self._slow and not np.all(
+            np.abs(self._qvel) <= self.index.velocity_limits
+        ):
             finite = bool(np.all(np.isfinite(self._qvel)))
             self._seen.add(Fault.EXPLODING_VELOCITY if finite else Fault.NOT_A_NUMBER)
         return tuple(fault for fault in Fault if fault in self._seen) if self._seen else ()

@@ -121,6 +121,12 @@ class Mujoco(Simulator):
         """Put an object where neither camera nor robot meets it."""
         self._world.park_object(name)
 
+    def hand_and_object(
+        self, frame: str, hand: str, name: str
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], FloatArray]:
+        """T_world_frame (4, 4), actuator lengths (m,), fingertip contacts (5,), object position (3,)."""
+        return (self._physics or self._world).hand_and_object(frame, hand, name)
+
     def touching(self, name: str) -> bool:
         """Whether the robot touches the object anywhere."""
         return self._world.touching(name)
