@@ -189,6 +189,77 @@ def test_broken_meshes_are_one_clear_line(folder, content, message):
     assert "\n" not in str(caught.value)
 
 
+def write_two_boxes(path):
+    """One OBJ with two shapes, 2 cm cubes 6 cm apart; MuJoCo's own reader keeps the first only."""
+    text, count = "", 0
+    for name, x in (("left", -0.03), ("right", 0.03)):
+        box = trimesh.creation.box(extents=(0.02, 0.02, 0.02))
+        text += f"o {name}\n" + "".join(f"v {a + x} {b} {c}\n" for a, b, c in box.vertices)
+        text += "".join(f"f {a + count + 1} {b + count + 1} {c + count + 1}\n" for a, b, c in box.faces)
+        count += len(box.vertices)
+    path.write_text(text)
+
+
+URDF = """<robot name="thing"><link name="base">
+  <inertial><mass value="0.3"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial>
+  <visual><geometry><mesh filename="parts/two.obj"/></geometry></visual>
+  <collision><origin xyz="0 0 0.04" rpy="0 0 1.5707963"/>
+  <geometry><mesh filename="parts/two.obj"/></geometry></collision>
+  <collision><geometry><box size="0.02 0.02 0.06"/></geometry></collision></link>{joint}</robot>"""
+HINGE = """<link name="lid"><inertial><mass value="0.1"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0"
+  iyz="0"/></inertial></link><joint name="hinge" type="continuous"><parent link="base"/><child link="lid"/></joint>"""
+
+
+def test_no_shape_of_a_file_is_lost(tmp_path):
+    write_two_boxes(tmp_path / "two.obj")
+    spec = Folder(tmp_path).get("two")
+    np.testing.assert_allclose(spec.half_extents, (0.04, 0.01, 0.01), atol=1e-4)
+    assert len(spec.collision) == 2
+    assert spec.mass == pytest.approx(500 * 2 * 0.02**3, rel=0.05)
+
+
+def test_a_urdf_is_one_object(tmp_path):
+    (tmp_path / "parts").mkdir()
+    write_two_boxes(tmp_path / "parts" / "two.obj")
+    (tmp_path / "thing.urdf").write_text(URDF.format(joint=""))
+    objects = Folder(tmp_path)
+    assert objects.names == ("thing",)
+    spec = objects.get("thing")
+    assert spec.mass == pytest.approx(0.3)
+    assert len(spec.collision) == 3
+    np.testing.assert_allclose(spec.half_extents, (0.01, 0.04, 0.04), atol=1e-3)  # z: -0.03 to 0.05
+
+
+def test_an_mjcf_file_is_one_object(tmp_path):
+    (tmp_path / "cup.xml").write_text(
+        '<mujoco><worldbody><body><freejoint/><geom type="cylinder" size="0.03 0.05" density="1000"/>'
+        '<geom type="box" size="0.005 0.02 0.02" pos="0.035 0 0" density="1000"/></body></worldbody></mujoco>'
+    )
+    spec = Folder(tmp_path, density=1000.0).get("cup")
+    assert len(spec.collision) == 2
+    np.testing.assert_allclose(spec.half_extents, (0.035, 0.03, 0.05), atol=1e-3)
+    assert spec.mass == pytest.approx(1000 * (np.pi * 0.03**2 * 0.1 + 0.01 * 0.04 * 0.04), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("lid.urdf", URDF.format(joint=HINGE), "movable joint 'hinge'"),
+        ("lost.urdf", URDF.format(joint=""), "two.obj"),
+        ("bad.xml", "<mujoco><worldbody>", "cannot be read"),
+        ("none.xml", "<mujoco><worldbody><body/></worldbody></mujoco>", "no shape"),
+    ],
+)
+def test_model_files_that_cannot_be_used_are_one_clear_line(tmp_path, name, content, message):
+    if name == "lid.urdf":
+        (tmp_path / "parts").mkdir()
+        write_two_boxes(tmp_path / "parts" / "two.obj")
+    (tmp_path / name).write_text(content)
+    with pytest.raises(DataError, match=message) as caught:
+        Folder(tmp_path).get(name.partition(".")[0])
+    assert "\n" not in str(caught.value)
+
+
 def test_millimetres_are_read_with_the_scale(tmp_path):
     trimesh.creation.box((50, 60, 100)).export(tmp_path / "block.stl")
     spec = Folder(tmp_path, scale=0.001).get("block")

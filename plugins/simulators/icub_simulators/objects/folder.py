@@ -11,20 +11,24 @@ from icub_core.errors import ConfigError, DataError, unknown_name
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.scene import Material, ObjectSpec
 from icub_simulators.objects.meshes import MESH_SUFFIXES, check_size, convex_pieces, read_mesh, solid_object
+from icub_simulators.objects.model_files import MODEL_SUFFIXES, read_model
 from icub_simulators.objects.solids import hull_volume
 from icub_simulators.objects.textures import PATTERNS, print_texture, random_ink
 
 
 class Folder(ObjectSet):
-    """Every OBJ and STL file of a folder (and its sub-folders), one object each, named by its path without suffix.
+    """Every OBJ, STL, URDF and MJCF file of a folder and its sub-folders, one object each, named by its path.
 
     A mesh need not be watertight: it is decomposed into convex pieces (CoACD) once, and the pieces are kept in the
     cache under a hash of the mesh. It is drawn as it is, in a colour derived from its name.
 
+    A URDF or MJCF file describes one rigid object; its mass counts where it states one, and the meshes beside and below
+    it are its parts, not objects.
+
     Args:
         path: The folder.
         scale: Factor from the files' unit to metres; 0.001 for millimetres.
-        density: kg/m^3 of the pieces.
+        density: kg/m^3 of the pieces, for files that state no mass.
         pieces: Largest number of convex pieces; 1 takes the hull.
         concavity: Allowed error of the decomposition, share of the object's size.
         friction: Sliding friction coefficient.
@@ -41,22 +45,31 @@ class Folder(ObjectSet):
     ) -> None:
         self._root = Path(path).expanduser()
         if not self._root.is_dir():
-            raise DataError(f"object folder {self._root} does not exist; expected a folder with OBJ or STL files")
+            raise DataError(
+                f"object folder {self._root} does not exist; expected a folder with OBJ, STL, URDF or MJCF files"
+            )
         for what, value in (("scale", scale), ("density", density), ("pieces", pieces), ("concavity", concavity)):
             if not value > 0:
                 raise ConfigError(f"folder {what} is {value}; expected a number above 0")
         self._scale, self._density, self._pieces, self._concavity = scale, density, pieces, concavity
         self._friction = friction
-        files = sorted(p for p in self._root.rglob("*") if p.suffix.lower() in MESH_SUFFIXES and p.is_file())
+        everything = sorted(p for p in self._root.rglob("*") if p.is_file())
+        files = [p for p in everything if p.suffix.lower() in MODEL_SUFFIXES]
+        described = {p.parent for p in files}
+        files += [  # meshes below a model file are its parts
+            p for p in everything if p.suffix.lower() in MESH_SUFFIXES and not described & set(p.parents)
+        ]
         self._files: dict[str, Path] = {}
         for file in files:
             name = file.relative_to(self._root).with_suffix("").as_posix().replace("/", "_")
             if name in self._files:
                 raise DataError(f"{self._files[name]} and {file} would both be object '{name}'; rename one of them")
             self._files[name] = file
+        self._files = dict(sorted(self._files.items()))
         if not self._files:
             raise DataError(
-                f"object folder {self._root} has no mesh; expected files ending in {', '.join(MESH_SUFFIXES)}"
+                f"object folder {self._root} has no mesh; expected files ending in "
+                f"{', '.join((*MESH_SUFFIXES, *MODEL_SUFFIXES))}"
             )
 
     @property
@@ -74,17 +87,26 @@ class Folder(ObjectSet):
         if name not in self._files:
             raise ConfigError(unknown_name(f"object in {self._root}", name, self._files))
         path = self._files[name]
-        vertices, faces = read_mesh(path)
-        vertices = vertices * self._scale
+        if path.suffix.lower() in MODEL_SUFFIXES:
+            model = read_model(path)
+            solids, surface, mass = model.solids, model.surface, model.mass
+        else:
+            surface, mass = read_mesh(path), 0.0
+            solids = [surface]
+        vertices, faces = surface[0] * self._scale, surface[1]
         check_size(path, vertices)
         rng = np.random.default_rng(zlib.crc32(name.encode()))
         pattern = PATTERNS[int(rng.integers(len(PATTERNS)))]
-        pieces = convex_pieces(vertices, faces, self._pieces, self._concavity)
+        pieces = [
+            piece
+            for corners, triangles in solids
+            for piece in convex_pieces(corners * self._scale, triangles, self._pieces, self._concavity)
+        ]
         return solid_object(
             name,
             pieces,
             surface=(vertices, faces),
-            mass=self._density * sum(hull_volume(p) for p in pieces),
+            mass=mass or self._density * sum(hull_volume(p) for p in pieces),
             material=Material(texture=print_texture(pattern, random_ink(rng), random_ink(rng), 0)),
             friction=(self._friction, 0.005, 0.0001),
         )
