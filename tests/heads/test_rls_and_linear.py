@@ -126,3 +126,16 @@ def test_impossible_options_of_the_linear_head_are_refused(options):
 def test_rls_refuses_a_penalty_of_nothing():
     with pytest.raises(ConfigError):
         Rls(lam=0.0)
+
+
+@pytest.mark.parametrize("n", [5, 60])
+def test_fewer_samples_than_features_give_the_same_ridge_solution(n):
+    generator = torch.Generator().manual_seed(0)
+    X = torch.randn(n, 20, generator=generator, dtype=torch.float64)
+    Y = torch.randn(n, 2, generator=generator, dtype=torch.float64)
+    head = Rls(lam=0.5, whiten=False)
+    head.fit(X, Y)
+    wide = torch.cat([X, torch.ones(n, 1, dtype=torch.float64)], dim=1)
+    expected = torch.linalg.solve(wide.T @ wide + 0.5 * torch.eye(21, dtype=torch.float64), wide.T @ (Y - Y.mean(0)))
+    torch.testing.assert_close(head.weight, expected[:-1])
+    torch.testing.assert_close(head.bias, expected[-1] + Y.mean(0))

@@ -19,13 +19,13 @@ from icub_segmenters.sampling import sample
 
 SAMPLING_FACTOR = 0.3
 """Share of a region's pixels that are kept, of the object's and of the others alike (the thesis's r)."""
-MOST_PIXELS = 16_000
+MOST_PIXELS = 8_000
 """Pixels a class is trained on at most, half of them the object's; more add time but no accuracy."""
 GRID = 14
 """Cells a side in which pixels are classified, the thesis's s; a finer grid of the extractor is averaged down to it.
 A quarter of the work a frame; what the extractor's own masks show in finer detail is kept where both are combined."""
-MOST_CENTERS = 300
-"""Pixels of 64 features need fewer centres than regions: 1000 were measured to be no better, and three times slower."""
+MOST_CENTERS = 200
+"""Pixels of 64 features need fewer centres than regions: 1000 were measured to be no better, and much slower."""
 
 
 @runtime_checkable

@@ -30,7 +30,7 @@ class Normalization:
 
     def __call__(self, X: torch.Tensor) -> torch.Tensor:
         """Normalise features (..., d)."""
-        return (X - self.mean.to(X)) * (TARGET_NORM / self.mean_norm)
+        return X.sub(self.mean.to(X)).mul_(TARGET_NORM / self.mean_norm)
 
     @classmethod
     def of(cls, X: torch.Tensor) -> Normalization:

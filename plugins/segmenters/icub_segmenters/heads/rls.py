@@ -51,9 +51,7 @@ class Rls(OnlineHead):
             mean = (weight * targets).sum(dim=0) / weight.sum()
             centred = targets - mean
             whitener = self._whitener(centred, weight)
-            A = wide.T @ (weight * wide)
-            A.diagonal().add_(self.lam)
-            solution = torch.cholesky_solve(wide.T @ (weight * (centred @ whitener)), cholesky_with_jitter(A, 1e-14))
+            solution = _ridge(weight.sqrt() * wide, weight.sqrt() * (centred @ whitener), self.lam)
             solution = solution @ torch.linalg.inv(whitener)  # back to the targets' own coordinates
         # float64 is for the algebra; scoring is float32 as the features are
         self.weight = solution[:-1].to(X.dtype)
@@ -90,3 +88,12 @@ class Rls(OnlineHead):
         covariance = centred.T @ (weight * centred) / weight.sum()
         values, vectors = torch.linalg.eigh(covariance)
         return vectors @ torch.diag((values.clamp(min=0) + WHITENING_FLOOR).rsqrt()) @ vectors.T
+
+
+def _ridge(A: torch.Tensor, B: torch.Tensor, lam: float) -> torch.Tensor:
+    """Return argmin |A W - B|^2 + lam |W|^2 (d, t) by the smaller of the two Gram matrices, A^T A or A A^T."""
+    few = len(A) < A.shape[1]
+    gram = A @ A.T if few else A.T @ A
+    gram.diagonal().add_(lam)
+    L = cholesky_with_jitter(gram, 1e-14)
+    return A.T @ torch.cholesky_solve(B, L) if few else torch.cholesky_solve(A.T @ B, L)
