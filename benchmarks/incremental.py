@@ -76,7 +76,6 @@ def run(options: argparse.Namespace, seed: int, progress: Progress) -> dict[str,
     after = examine(segmenter, test, old, "examining after the addition", progress)
     new = examine(segmenter, among, [NEW], "examining the new object", progress)
     mistaken_after = mistaken(segmenter, among, "mistaken for old ones", progress)
-    yielding = segmenter.detector.additions[0].yielding
     whole = segmenter.update()
     retrained = examine(segmenter, test, old, "examining after training anew", progress)
     new_retrained = examine(segmenter, among, [NEW], "examining the new object", progress)
@@ -93,7 +92,6 @@ def run(options: argparse.Namespace, seed: int, progress: Progress) -> dict[str,
         "old_map50_change_retrained": 100 * (retrained.map50_segm - before.map50_segm),
         "new_ap50": 100 * new.map50_segm,
         "new_ap50_retrained": 100 * new_retrained.map50_segm,
-        "yielding_classes": float(len(yielding)),
         "mistaken_before": 100 * mistaken_before,
         "mistaken_after": 100 * mistaken_after,
         "mistaken_retrained": 100 * mistaken_retrained,
@@ -139,7 +137,7 @@ def largest_change(before: DetectionMetrics, after: DetectionMetrics) -> float:
     return 100 * max(changes)
 
 
-UNITS = {"old_classes": "1", "yielding_classes": "1", "add_class_s": "s", "retrain_s": "s"}
+UNITS = {"old_classes": "1", "add_class_s": "s", "retrain_s": "s"}
 LARGEST = ("old_class_change", "old_class_change_retrained")
 """Of these the largest of all runs is reported, not the mean."""
 

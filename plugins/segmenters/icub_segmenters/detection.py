@@ -169,7 +169,7 @@ class OnlineDetector:
         self._known[store.label[store.label >= 0].unique()] = True
 
     def add_classes(self, store: RegionStore, classes: int, generator: torch.Generator) -> None:
-        """Train only the classes that are new since the last training; see `incremental` for which old ones yield.
+        """Train only the classes that are new since the last training; see `incremental` for where old ones yield.
 
         The scale of features and the old classes' box regressors stay as they are.
 
@@ -184,8 +184,7 @@ class OnlineDetector:
         X = self.normalization(store.features)
         for c in range(known, classes):
             negatives = class_negatives(store, c, self.procedure.budget, generator)
-            # `scores` are still those of the old classes
-            addition = add_class(c, self.procedure, self.make_head, X, store.label, negatives, self.scores)
+            addition = add_class(c, self.procedure, self.make_head, X, store.label, negatives)
             self._known = torch.cat([self._known, torch.tensor([addition is not None])])
             if addition is not None:
                 self.additions.append(addition)
@@ -244,7 +243,6 @@ class OnlineDetector:
                 state |= {f"{name}.{c}.{key}": value for key, value in head.state_dict().items()}
         for a in self.additions:
             state |= {f"added.{a.number}.{key}": value for key, value in a.head.state_dict().items()}
-            state[f"yielding.{a.number}"] = torch.tensor(a.yielding, dtype=torch.int64)
         return state
 
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
@@ -263,11 +261,7 @@ class OnlineDetector:
             loaded[name][int(number)] = head
         if self.shared and set(loaded["head"]) != {0}:
             raise CheckpointError("the detector's state has one classifier a class; expected one for all (mode=shared)")
-        if any(f"yielding.{c}" not in state for c in loaded["added"]):
-            raise CheckpointError("the detector's state has an added class without the classes that yield to it")
-        self.additions = [
-            Addition(c, head, tuple(state[f"yielding.{c}"].tolist())) for c, head in sorted(loaded["added"].items())
-        ]
+        self.additions = [Addition(c, head) for c, head in sorted(loaded["added"].items())]
         self.normalization, self.heads = normalization, loaded["head"]
         self._known = known
         self.coarse.heads = {c: h for c, h in loaded["coarse"].items() if isinstance(h, Rls)}

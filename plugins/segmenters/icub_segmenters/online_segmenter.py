@@ -168,8 +168,8 @@ class OnlineSegmenter(Segmenter):
     def add_classes(self) -> UpdateReport:
         """Train only the classes that were first shown since the last training; the others stay as they are.
 
-        An old class that takes the new object for its own yields where the new one claims a region with more right
-        (see `incremental`). Unlike `update` the result depends on when it is called; a later `update` trains all anew.
+        In regions that the new class claims with more right the others yield (see `incremental`). Unlike `update` the
+        result depends on when it is called; a later `update` trains all anew.
         On-line region proposals, which all classes share, are trained anew.
 
         Raises:
