@@ -95,7 +95,7 @@ CURVES = {
 ABLATION = {
     OURS: "falkon",
     "no pasted clutter": "falkon,segmenter.composites=0",
-    "two pasted pictures a frame": "falkon,segmenter.composites=2",
+    "one pasted picture a frame": "falkon,segmenter.composites=1",
     "no look-alikes": "falkon,icub_segmenters.clutter.LOOK_ALIKES=0.0",
     "strangers not described": "falkon,icub_segmenters.regions.STRANGER_BOXES=0",
     "bank of negatives": "falkon,icub_segmenters.online_segmenter.BANK_PICTURES=100",

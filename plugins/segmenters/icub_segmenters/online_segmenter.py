@@ -70,7 +70,7 @@ class OnlineSegmenter(Segmenter):
         mode: str = "shared",
         batches: int = 10,
         batch_size: int = 2000,
-        composites: int = 1,
+        composites: int = 3,
         masks: str = "combined",
         repool: bool = False,
         proposals: str = "pretrained",
@@ -85,7 +85,8 @@ class OnlineSegmenter(Segmenter):
                 class with its own samples and centres.
             batches: Batches of negatives (n_B).
             batch_size: Negatives in a batch (BS).
-            composites: Pictures with pasted clutter made of every observed instance; 0 for none.
+            composites: Pictures with pasted clutter made of every observed frame, its instances taking turns; 0 for
+                none.
             masks: ``"online"``: a classifier a class; ``"pretrained"``: the extractor's own class-agnostic masks;
                 ``"combined"``: the mean of both where the extractor has a mask branch, else ``"online"``.
             repool: Look a second time at refined boxes.
@@ -123,7 +124,7 @@ class OnlineSegmenter(Segmenter):
         return self._trained
 
     def observe(self, frame: RgbdFrame, instances: Sequence[Instance]) -> None:
-        """Extract the features of one annotated frame, and of `composites` pictures made of each instance.
+        """Extract the features of one annotated frame, and of `composites` pictures made of its instances.
 
         Raises:
             DataError: A mask is empty or has another size than the image; nothing is kept of the frame.
@@ -141,11 +142,11 @@ class OnlineSegmenter(Segmenter):
             for picture in self._compositor.pictures[:BANK_PICTURES]:
                 others = [picture.objects == k for k in np.unique(picture.objects[picture.objects > 0])]
                 self._learn_from(picture.rgb, (), generator, others)
-        for instance in instances:
-            cutout = Cutout.of(instance.label, frame.rgb, instance.mask)
-            for _ in range(self.composites):
-                made = self._compositor.compose(cutout, (size[0], size[1]), rng)
-                self._learn_from(made.rgb, list(made.instances), generator, made.strangers)
+        cutouts = [Cutout.of(instance.label, frame.rgb, instance.mask) for instance in instances]
+        for number in rng.permutation(max(self.composites, len(cutouts)))[: self.composites]:  # all in turn, if few
+            made = self._compositor.compose(cutouts[number % len(cutouts)], (size[0], size[1]), rng)
+            self._learn_from(made.rgb, list(made.instances), generator, made.strangers)
+        for cutout in cutouts:
             self._compositor.remember(cutout, rng)
 
     def update(self) -> UpdateReport:

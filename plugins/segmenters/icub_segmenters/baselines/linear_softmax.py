@@ -41,7 +41,7 @@ class LinearSoftmax(OnlineSegmenter):
         feature_extractor: FeatureExtractor,
         online_head: Callable[[], OnlineHead],
         negatives: int = 20_000,
-        composites: int = 1,
+        composites: int = 3,
         masks: str = "combined",
         seed: int = 0,
     ) -> None:
@@ -51,7 +51,7 @@ class LinearSoftmax(OnlineSegmenter):
             feature_extractor: Proposes and describes regions.
             online_head: Gives an untrained classifier whose scores are log odds: ``linear``.
             negatives: Background regions trained on at most.
-            composites: Pictures with pasted clutter made of every observed instance; 0 for none.
+            composites: Pictures with pasted clutter made of every observed frame; 0 for none.
             masks: ``"online"``, ``"pretrained"`` or ``"combined"``.
             seed: Decides everything random.
         """

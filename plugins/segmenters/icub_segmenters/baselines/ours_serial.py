@@ -36,7 +36,7 @@ class OursSerial(OnlineSegmenter):
         mode: str = "shared",
         batches: int = 10,
         batch_size: int = 2000,
-        composites: int = 1,
+        composites: int = 3,
         masks: str = "combined",
         seed: int = 0,
     ) -> None:
@@ -48,7 +48,7 @@ class OursSerial(OnlineSegmenter):
             mode: ``"shared"`` or ``"faithful"``.
             batches: Batches of negatives (n_B).
             batch_size: Negatives in a batch (BS).
-            composites: Pictures with pasted clutter made of every observed instance; 0 for none.
+            composites: Pictures with pasted clutter made of every observed frame; 0 for none.
             masks: ``"online"``, ``"pretrained"`` or ``"combined"``.
             seed: Decides everything random.
         """
