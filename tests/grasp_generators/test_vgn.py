@@ -119,8 +119,8 @@ def test_the_original_weight_file_can_be_given(icub, tmp_path):
 
 
 def test_bad_arguments(icub, generator):
-    with pytest.raises(WeightsError, match="parallel_jaw"):
-        Vgn(weights="paralel_jaw")
+    with pytest.raises(WeightsError, match="icub_hand"):
+        Vgn(weights="icub_hnd")
     for arguments in ({"threshold": 1.0}, {"threshold": -0.1}, {"max_grasps": 0}):
         with pytest.raises(ConfigError, match="vgn"):
             Vgn(**arguments)

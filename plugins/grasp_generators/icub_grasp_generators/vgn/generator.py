@@ -36,8 +36,9 @@ class Vgn(GraspGenerator):
     first.
 
     Args:
-        weights: ``"parallel_jaw"`` (shipped; learned from trials with a gripper, adapted to the hand), the path of a
-            file that ``icub train grasp_generator=vgn`` wrote, or the path of the original's weight file (``.pth``).
+        weights: ``"icub_hand"`` (shipped; learned from trials with the robot's hand), ``"parallel_jaw"`` (shipped;
+            learned from trials with a gripper, adapted to the hand), the path of a file that
+            ``icub train grasp_generator=vgn`` wrote, or the path of the original's weight file (``.pth``).
         threshold: Least quality of a voxel, 0..1.
         table_in_volume: Whether the field contains the table.
         max_grasps: At most this many are returned.
@@ -49,7 +50,7 @@ class Vgn(GraspGenerator):
     """
 
     def __init__(
-        self, weights: str = "parallel_jaw", threshold: float = 0.2, table_in_volume: bool = False, max_grasps: int = 5
+        self, weights: str = "icub_hand", threshold: float = 0.3, table_in_volume: bool = False, max_grasps: int = 5
     ) -> None:
         if not 0.0 <= threshold < 1.0 or max_grasps < 1:
             raise ConfigError(f"vgn: threshold {threshold}, max_grasps {max_grasps}; expected 0 to 1 and at least 1")

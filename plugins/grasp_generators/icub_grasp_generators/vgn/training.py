@@ -75,8 +75,8 @@ class Part:
 
 
 PARTS = (
-    Part("parallel_jaw", GRIPPER, GripperTrials, 0.11, 0.14),
-    Part("icub_hand", HAND, HandTrials, 0.46, 0.29),
+    Part("parallel_jaw", GRIPPER, GripperTrials, 0.123, 0.167),
+    Part("icub_hand", HAND, HandTrials, 0.528, 0.182),
 )
 
 
