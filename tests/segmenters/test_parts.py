@@ -368,3 +368,17 @@ def test_strangers_become_described_negatives(windows, painter):
     assert regions.label[own] == regions.near[own] == -1
     without = describe(windows, image, truth, torch.tensor([0]), torch.Generator().manual_seed(0))
     assert len(regions) == len(without) + 2  # the stranger's box and one drawn around it
+
+
+def test_a_class_more_crowds_out_no_other():
+    generator = torch.Generator().manual_seed(0)
+    corners = 10.0 * torch.arange(90)[:, None]
+    boxes = torch.cat([corners, torch.zeros(90, 1), corners + 5, torch.full((90, 1), 5.0)], dim=1)
+    found = Detections(boxes, torch.arange(90) % 3, torch.rand(90, generator=generator))
+    alone = suppressed(found.take(torch.nonzero(found.labels < 2).flatten()))
+    together = suppressed(found)
+    assert torch.bincount(together.labels).tolist() == [20, 20, 20]
+    assert (together.scores.diff() <= 0).all()
+    of_old = together.take(torch.nonzero(together.labels < 2).flatten())
+    assert torch.equal(of_old.boxes, alone.boxes)
+    assert torch.equal(of_old.scores, alone.scores)

@@ -19,8 +19,8 @@ from icub_segmenters.region_store import RegionStore
 from icub_segmenters.sampling import class_negatives, sample_per_group, shared_negatives
 
 NMS_IOU = 0.3
-MOST_DETECTIONS = 200
-"""Twice the thesis's: 21 classes in a crowded picture reach 100, and a class more would crowd out the others' last."""
+MOST_OF_A_CLASS = 20
+"""The thesis keeps 100 of all classes together: there a class that comes later crowds out the others' last ones."""
 NEVER = -2.0
 """Score of a class that cannot be recognised: below what any trained head gives to background."""
 BOX_PENALTY = 10.0
@@ -209,7 +209,7 @@ class OnlineDetector:
     def detect(self, extractor: FeatureExtractor, image: ImageFeatures, lowest_score: float) -> Detections:
         """Find the taught objects among an image's proposals.
 
-        Per class: refine boxes, drop those under `lowest_score`, suppress overlaps above 0.3, of which at most 200
+        Per class: refine boxes, drop those under `lowest_score`, suppress overlaps above 0.3, of which at most 20
         remain, and let what was suppressed vote on the box.
         """
         if self.normalization is None:
@@ -269,9 +269,11 @@ class OnlineDetector:
 
 
 def suppressed(found: Detections) -> Detections:
-    """Keep what no better detection of the same class overlaps by more than 0.3; at most 200, best first."""
+    """Keep what no better detection of the same class overlaps by more than 0.3; at most 20 of a class, best first."""
     kept = batched_nms(found.boxes, found.scores, found.labels, NMS_IOU)
-    return found.take(kept[:MOST_DETECTIONS])
+    labels = found.labels[kept]
+    better = (labels[:, None] == labels).tril(-1).sum(dim=1)  # of the same class, before each
+    return found.take(kept[better < MOST_OF_A_CLASS])
 
 
 def voted(kept: Detections, candidates: Detections) -> Detections:
