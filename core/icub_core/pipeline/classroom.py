@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -43,6 +44,11 @@ class Classroom:
     simulator: Simulator
     robot: RobotDescription
     segmenter: Segmenter
+
+    @property
+    def heads(self) -> Path:
+        """Folder of the run in which what was learned is kept."""
+        return self.context.run_dir / "segmenter"
 
     def teach(self, spec: ObjectSpec, frames: int, rng: np.random.Generator) -> tuple[UpdateReport, Image, float]:
         """Show one object and learn it at once.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
@@ -24,7 +23,6 @@ objects           objects that can be shown
 save              write what was learned into the run folder
 quit              save and leave (so does the end of the input)"""
 PROMPT = "icub> "
-SEGMENTER_FOLDER = "segmenter"
 
 
 def converse(
@@ -61,9 +59,9 @@ class _Conversation:
         }  # fmt: skip
 
     def go_on(self, ask: Callable[[str], str]) -> None:
-        if self._folder.is_dir():
-            self._classroom.segmenter.load(self._folder)
-            self._console.print(f"going on with what was learned in {self._folder}", soft_wrap=True)
+        if self._classroom.heads.is_dir():
+            self._classroom.segmenter.load(self._classroom.heads)
+            self._console.print(f"going on with what was learned in {self._classroom.heads}", soft_wrap=True)
         self._console.print("type help for the commands")
         while True:
             try:
@@ -81,10 +79,6 @@ class _Conversation:
         self._classroom.context.record(
             {"showing.objects": len(self._classroom.segmenter.classes), "showing.lessons": self._lessons}
         )
-
-    @property
-    def _folder(self) -> Path:
-        return self._classroom.context.run_dir / SEGMENTER_FOLDER
 
     def _answer(self, command: str, *words: str) -> None:
         if command not in self._commands:
@@ -109,7 +103,7 @@ class _Conversation:
             report, sample, seconds = self._classroom.teach(spec, self._settings.frames, rng)
         picture = context.run_dir / f"taught_{self._lessons:02d}.png"
         save_picture(picture, sample)
-        self._classroom.segmenter.save(self._folder)
+        self._classroom.segmenter.save(self._classroom.heads)
         self._console.print(
             f"learned {spec.name}: {seconds:.1f} s in all, {report.seconds:.1f} s after the last frame; {picture}",
             soft_wrap=True,
@@ -148,8 +142,8 @@ class _Conversation:
 
     def _save(self) -> None:
         if self._classroom.segmenter.classes:
-            self._classroom.segmenter.save(self._folder)
-            self._console.print(f"saved in {self._folder}", soft_wrap=True)
+            self._classroom.segmenter.save(self._classroom.heads)
+            self._console.print(f"saved in {self._classroom.heads}", soft_wrap=True)
 
     def _help(self) -> None:
         self._console.print(HELP, markup=False)

@@ -69,12 +69,12 @@ def _stages(context: RunContext, cfg: DictConfig, settings: ShowingSettings) -> 
 def _script(
     classroom: Classroom, taught: Sequence[ObjectSpec], unknown: Sequence[ObjectSpec], settings: ShowingSettings
 ) -> None:
-    context, heads = classroom.context, classroom.context.run_dir / "segmenter"
+    context = classroom.context
     if context.recall("teach"):
-        classroom.segmenter.load(heads)
+        classroom.segmenter.load(classroom.heads)
     else:
         _teach_all(classroom, taught, settings)
-        classroom.segmenter.save(heads)
+        classroom.segmenter.save(classroom.heads)
         context.remember("teach")
     with context.stage("look"):
         looks = classroom.look(taught, unknown, Tabletop(frames=settings.looks), context.rng("look"))
@@ -85,7 +85,7 @@ def _script(
         context.record({"showing.false_positives_before": 0})
         return
     _correct(classroom, taught, unknown, stranger, settings)
-    classroom.segmenter.save(heads)
+    classroom.segmenter.save(classroom.heads)
 
 
 def _teach_all(classroom: Classroom, taught: Sequence[ObjectSpec], settings: ShowingSettings) -> None:
@@ -124,10 +124,11 @@ def _correct(
     with context.stage("after"):
         after = classroom.recognise(looks)
 
-    def of_stranger(found: Sequence[tuple[Instance, ...]]) -> list[Mistake]:
-        return [m for picture in _all_mistakes(found, looks) for m in picture if m.shown == stranger.name]
+    def of_stranger(found: Sequence[tuple[Instance, ...]]) -> list[list[Mistake]]:
+        return [[m for m in picture if m.shown == stranger.name] for picture in _all_mistakes(found, looks)]
 
-    earlier = of_stranger(before)
+    mistaken = of_stranger(before)
+    earlier = [m for picture in mistaken for m in picture]
     answers = [recognised(found, truth, stranger.name) for found, (_, truth) in zip(after, looks, strict=True)]
     visible = [answer for answer in answers if answer is not None]
     names = [spec.name for spec in taught]
@@ -142,17 +143,14 @@ def _correct(
             "showing.taken_for": Counter(m.taken_for for m in earlier).most_common(1)[0][0] if earlier else "",
             "showing.looks_with_corrected": len(visible),
             "showing.false_positives_before": len(earlier),
-            "showing.false_positives_after": len(of_stranger(after)),
+            "showing.false_positives_after": sum(map(len, of_stranger(after))),
             "showing.corrected_recall": float(np.mean(visible)) if visible else 0.0,
             "showing.correct_update_seconds": report.seconds,
             "showing.map50_segm_before": precision(before),
             "showing.map50_segm_after": precision(after),
         }
     )
-    wrong = [
-        number for number, m in enumerate(_all_mistakes(before, looks)) if any(x.shown == stranger.name for x in m)
-    ]
-    chosen = (wrong + [n for n in range(len(looks)) if n not in wrong])[: seeing.SHEET_COLUMNS]
+    chosen = sorted(range(len(looks)), key=lambda n: not mistaken[n])[: seeing.SHEET_COLUMNS]
     for caption, name, found in (("Before", "before.png", before), ("After", "after.png", after)):
         pictures = [draw_instances(looks[n][0].rgb, seeing.confident(found[n])) for n in chosen]
         seeing.save_sheet(context, f"{caption} '{stranger.name}' was taught", name, pictures)

@@ -30,6 +30,14 @@ def visual_size(inputs: int) -> int:
     return (inputs - PROPRIOCEPTIVE_SIZE) // STACK
 
 
+def other_pictures(inputs: int, there: int) -> ConfigError:
+    """Return the error for networks of so many inputs where the task offers `there`."""
+    return ConfigError(
+        f"the policy sees pictures of {visual_size(inputs)} features, the task offers {visual_size(there)}; "
+        "expected pipeline.grasp.visual and the feature extractor with which the policy learned"
+    )
+
+
 def features(observation: TensorDictBase, inputs: int | None = None) -> torch.Tensor:
     """Return the network input (B, 29) float32 of a batch of observations, or (B, 29 + 5 F) with a visual part.
 
@@ -43,10 +51,7 @@ def features(observation: TensorDictBase, inputs: int | None = None) -> torch.Te
     pictures = observation[VISUAL] if VISUAL in observation.keys() and inputs != PROPRIOCEPTIVE_SIZE else None
     there = PROPRIOCEPTIVE_SIZE + (0 if pictures is None else pictures.shape[1])
     if inputs is not None and inputs != there:
-        raise ConfigError(
-            f"the policy sees pictures of {visual_size(inputs)} features, the task offers {visual_size(there)}; "
-            "expected pipeline.grasp.visual and the feature extractor with which the policy learned"
-        )
+        raise other_pictures(inputs, there)
     pose, center = observation[HAND_POSE], observation[OBJECT_CENTER]
     c, s = torch.cos(pose[:, 3:]), torch.sin(pose[:, 3:])
     cy, cp, cr = c.unbind(1)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import torch
 
-from icub_core.errors import CheckpointError, ConfigError
+from icub_core.errors import CheckpointError
 from icub_core.grasping.env import GraspEnv
 from icub_core.grasping.spaces import ACTION_SIZE, VISUAL
-from icub_policies.features import PROPRIOCEPTIVE_SIZE, STACK, visual_size
+from icub_policies.features import PROPRIOCEPTIVE_SIZE, STACK, other_pictures, visual_size
 from icub_policies.replay import Replay
 from icub_policies.sac import Sac
 
@@ -35,10 +35,7 @@ def seeing(sac: Sac, env: GraspEnv) -> Sac:
     if sac.states == states:
         return sac
     if sac.states != PROPRIOCEPTIVE_SIZE:
-        raise ConfigError(
-            f"the policy sees pictures of {visual_size(sac.states)} features, the task offers {visual_size(states)}; "
-            "expected pipeline.grasp.visual and the feature extractor with which the policy learned"
-        )
+        raise other_pictures(sac.states, states)
     return sac.widened(states, Path("the policy"))
 
 
