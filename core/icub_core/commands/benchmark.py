@@ -45,13 +45,16 @@ def benchmarks() -> dict[str, Callable[[Sequence[str]], int | None]]:
 
 
 def _run_script(script: Path, arguments: Sequence[str]) -> int:
+    """Run a script as `python SCRIPT` would: its folder is searched first, so that it can be of several modules."""
     typed, sys.argv = sys.argv, [str(script), *arguments]
+    sys.path.insert(0, str(script.parent))
     try:
         runpy.run_path(str(script), run_name="__main__")
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else int(end.code is not None)
     finally:
         sys.argv = typed
+        sys.path.remove(str(script.parent))
     return 0
 
 
