@@ -18,12 +18,12 @@ HEADINGS = (
 )  # fmt: skip
 
 
-def cell(values: Sequence[float], digits: int) -> str:
-    """Return mean and deviation of some values, a dash for none."""
+def cell(values: Sequence[float], digits: int, *, signed: bool = False) -> str:
+    """Return mean and deviation of some values, a dash for none; `signed` writes a plus, too."""
     if not values:
         return "-"
     spread = f" ± {statistics.stdev(values):.{digits}f}" if len(values) > 1 else ""
-    return f"{statistics.fmean(values):.{digits}f}{spread}"
+    return f"{statistics.fmean(values):{'+' if signed else ''}.{digits}f}{spread}"
 
 
 def cells(trials: Sequence[Trial]) -> list[str]:
