@@ -11,6 +11,7 @@ from icub_core.errors import DataError
 from icub_core.geometry import rotation_exp
 from icub_grasp_generators.superquadrics.residuals import (
     Solids,
+    columns,
     evaluate,
     outline,
     outline_jacobian,
@@ -92,14 +93,16 @@ def solids_of(half, exponents, turn, place) -> Solids:
 
 def numerical(function, solids: Solids) -> np.ndarray:
     """Central differences by the eleven parameters; the outputs come first: (..., 11)."""
-    columns = []
+    differences = []
     for i in range(11):
         h = 1e-6
         step = np.zeros((1, 11))
         step[0, i] = h
         far = np.full(8, 1e9)
-        columns.append((function(solids.moved(step, -far, far)) - function(solids.moved(-step, -far, far))) / (2 * h))
-    return np.stack(columns, axis=-1)
+        differences.append(
+            (function(solids.moved(step, -far, far)) - function(solids.moved(-step, -far, far))) / (2 * h)
+        )
+    return np.stack(differences, axis=-1)
 
 
 inner_powers = st.tuples(*[st.floats(0.15, 1.25)] * 2)
@@ -114,11 +117,12 @@ def test_jacobians_agree_with_finite_differences(half, exponents, turn, place, s
     unit = rng.uniform(0.15, 1.0, (3, 20)) * rng.choice([-1.0, 1.0], (3, 20))
     points = rotation_exp(turn) @ (unit / np.abs(unit).max(axis=0) * np.array(half)[:, None] * 1.1)
     points += np.array(place)[:, None]
-    direction = np.array([0.2, -0.3, -1.0]) / np.linalg.norm([0.2, -0.3, -1.0])
-    values = evaluate(solids, points, direction)
-    by_points = numerical(lambda s: evaluate(s, points, direction).gauge[0], solids)
+    rows = columns(points.T, np.array([0.2, -0.3, -1.0]) / np.linalg.norm([0.2, -0.3, -1.0]))
+    values = evaluate(solids, rows, True)
+    np.testing.assert_allclose(values.J_gauge, evaluate(solids, rows[:, :-1], False).J_gauge, rtol=1e-12, atol=1e-15)
+    by_points = numerical(lambda s: evaluate(s, rows, True).gauge[0], solids)
     np.testing.assert_allclose(values.J_gauge[0].T, by_points, rtol=2e-4, atol=2e-4 / min(half))
-    by_reach = numerical(lambda s: evaluate(s, points, direction).reach[0], solids)
+    by_reach = numerical(lambda s: evaluate(s, rows, True).reach[0], solids)
     np.testing.assert_allclose(values.J_reach[0], by_reach, rtol=2e-4, atol=2e-6)
 
 

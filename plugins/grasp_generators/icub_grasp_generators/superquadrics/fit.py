@@ -26,6 +26,7 @@ from icub_core.geometry import FloatArray
 from icub_grasp_generators.superquadrics.residuals import (
     PARAMETERS,
     Solids,
+    columns,
     evaluate,
     outline,
     outline_jacobian,
@@ -58,7 +59,7 @@ _OUTLIER_AT = 3.0  # distance, in sigmas, at which inlier and outlier are equall
 _ONE_SIDED = 0.4  # length of the mean visible normal above which a cloud is a single view
 _AVERTED = 0.2  # of a normal against the mean of the visible normals
 _TABLE_WEIGHT = 0.3  # of the number of points
-_CONVERGED = 3e-3  # step, in units of the object's size and radians
+_CONVERGED = 6e-3  # step, in units of the object's size and radians
 _CAUTION = 1.1  # by which the noise is taken to be larger than estimated: weights cut the tails off
 _DAMPED = 0.1  # curvature, per point, that damping adds to every direction
 _LOW = np.array([-np.inf] * 3 + [np.log(0.02)] * 3 + [EXPONENT_RANGE[0]] * 2)
@@ -90,37 +91,46 @@ class _Problem:
     """
 
     def __init__(self, points: FloatArray, table: float | None) -> None:
-        self.rows = np.ascontiguousarray(points.T)
+        self.rows = columns(points, None if table is None else _DOWN)
         self.count = len(points)
         self._table = table
 
     def terms(self, solids: Solids) -> _Terms:
         """Evaluate distances and Jacobians."""
-        values = evaluate(solids, self.rows, None if self._table is None else _DOWN)
-        r, J = values.gauge, values.J_gauge
-        r -= 1.0
-        r /= values.slope
-        J /= values.slope[:, None]
+        values = evaluate(solids, self.rows, self._table is not None)
+        r = (values.gauge - 1.0) / values.slope
         if self._table is None or values.reach is None or values.J_reach is None:
-            return _Terms(r, J, None, None)
+            return _Terms(r, values.J_gauge, values.slope, None, None)
         root = np.sqrt(_TABLE_WEIGHT * self.count)
         J_table = -root * values.J_reach
         J_table[:, 2] += root
-        return _Terms(r, J, root * (solids.center[:, 2] - values.reach - self._table), J_table)
+        r_table = root * (solids.center[:, 2] - values.reach - self._table)
+        return _Terms(r, values.J_gauge, values.slope, r_table, J_table)
 
 
 @dataclass
 class _Terms:
-    """Distances r (S, N) of the points, the table's residual (S,), and Jacobians (S, 11, N), (S, 11)."""
+    """Distances r (S, N) of the points and the table's residual (S,), with Jacobians (S, 11, N), (S, 11).
+
+    J is that of the gauge; the distances' is J / slope, with slope (S, N) the length of the gauge's gradient. Nobody
+    needs the quotient itself, which is the largest array here.
+    """
 
     r: FloatArray
     J: FloatArray
+    slope: FloatArray
     r_table: FloatArray | None
     J_table: FloatArray | None
 
+    def take(self, index: NDArray[np.intp]) -> _Terms:
+        """Return the terms of the solids with these numbers."""
+        if self.r_table is None or self.J_table is None:
+            return _Terms(self.r[index], self.J[index], self.slope[index], None, None)
+        return _Terms(self.r[index], self.J[index], self.slope[index], self.r_table[index], self.J_table[index])
+
     def replace(self, other: _Terms, index: NDArray[np.bool_]) -> None:
         """Take over the rows `index` (S,) of `other`."""
-        self.r[index], self.J[index] = other.r[index], other.J[index]
+        self.r[index], self.J[index], self.slope[index] = other.r[index], other.J[index], other.slope[index]
         if self.r_table is not None and other.r_table is not None:
             self.r_table[index] = other.r_table[index]
         if self.J_table is not None and other.J_table is not None:
@@ -132,94 +142,110 @@ class _Terms:
         Its direction stands for that of the viewer, which a cloud does not carry. Normals of a single view add up to
         more than half; those of a cloud from all around cancel.
         """
-        return -(self.J[:, :3] @ w[:, :, None])[..., 0] / np.maximum(w.sum(axis=1), 1.0)[:, None]
+        return -(self.J[:, :3] @ (w / self.slope)[:, :, None])[..., 0] / np.maximum(w.sum(axis=1), 1.0)[:, None]
 
     def deviation(self, w: FloatArray) -> FloatArray:
         """Return the weighted root mean square of the distances (S,)."""
         square: FloatArray = np.einsum("sn,sn->s", w * self.r, self.r)
         return np.sqrt(square / np.maximum(w.sum(axis=1), 1.0))
 
-    def mixture(self, sigma: FloatArray, view: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the points' probabilities of being surface (S, N) and -sigma^2 times the log likelihood (S,)."""
+    def odds(self, sigma: FloatArray) -> FloatArray:
+        """Return how much likelier each point is surface, with noise sigma (S,), than background: (S, N)."""
         odds = self.r / sigma[:, None]
         odds *= odds
         odds -= _OUTLIER_AT**2
         odds *= -0.5
-        np.exp(odds, out=odds)
-        # a side that looks away was not seen: points near it are outliers, and must not pull it out to them
-        odds *= (view[:, None] @ self.J[:, :3])[:, 0] < _AVERTED
+        return np.exp(odds, out=odds)
+
+    def mixture(self, odds: FloatArray, sigma: FloatArray, view: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+        """Return the points' probabilities of being surface (S, N) and -sigma^2 times the log likelihood (S,)."""
+        if view is not None:
+            # a side that looks away was not seen: points near it are outliers, and must not pull it out to them
+            odds = odds * ((view[:, None] @ self.J[:, :3])[:, 0] < _AVERTED * self.slope)
         total = 1.0 + odds
-        cost = -(sigma**2) * np.log(total).sum(axis=1)
+        w = odds / total
+        cost = -(sigma**2) * np.log(total, out=total).sum(axis=1)
         if self.r_table is not None:
             cost += 0.5 * self.r_table**2
-        odds /= total
-        return odds, cost
+        return w, cost
+
+
+@dataclass(frozen=True)
+class _Descended:
+    """Where a descent ended: solids, their terms, costs (S,) and the points' probabilities of being surface (S, N)."""
+
+    solids: Solids
+    terms: _Terms
+    cost: FloatArray
+    w: FloatArray
 
 
 def _descend(
-    problem: _Problem, solids: Solids, steps: Sequence[_Step], *, estimate: bool
-) -> tuple[Solids, FloatArray, FloatArray, FloatArray]:
+    problem: _Problem, solids: Solids, steps: Sequence[_Step], *, estimate: bool, terms: _Terms | None = None
+) -> _Descended:
     """Improve a batch of solids by damped Gauss-Newton steps.
 
     Args:
         problem: The cloud.
-        solids: Where to start; overwritten.
+        solids: Where to start.
         steps: What each step assumes.
         estimate: Estimate the noise from the weighted distances (the steps' noise is then the least that is believed),
             leave sides that look away out of account, and skip steps of a kind once they have become small.
-
-    Returns:
-        The solids, their costs (S,), the points' weights (S, N), and the weighted deviations of the points (S,).
+        terms: Those of `solids`, where they are known; overwritten.
     """
     damping = np.full(len(solids.R), 1e-2)
-    sigma = np.full(len(solids.R), steps[0].sigma)
-    terms = problem.terms(solids)
-    nowhere = np.zeros((len(sigma), 3))
-    w, cost = terms.mixture(sigma, nowhere)
-    spread = sigma
+    sigma = spread = np.full(len(solids.R), steps[0].sigma)
+    if terms is None:
+        terms = problem.terms(solids)
+    odds = terms.odds(sigma)
+    seen: FloatArray | None = None
+    w, cost = terms.mixture(odds, sigma, seen)
     converged: _Step | None = None
     for kind in steps:
         if kind is converged:
             continue
         # a side that was wrongly taken to look away must be able to come back: its points count for the view
-        view = terms.view(terms.mixture(sigma, nowhere)[0] if estimate else w)
-        one_sided = estimate and float(view[0] @ view[0]) > _ONE_SIDED**2
-        seen = view if one_sided else nowhere
+        view = terms.view(odds / (1.0 + odds) if seen is not None else w)
         if estimate:
             spread = _CAUTION * terms.deviation(w)
-            sigma = np.maximum(np.minimum(spread, sigma), kind.sigma)
-            w, cost = terms.mixture(sigma, seen)
+            believed = np.maximum(np.minimum(spread, sigma), kind.sigma)
+            if np.any(believed != sigma):
+                sigma, odds = believed, terms.odds(believed)
+            seen = view if float(view[0] @ view[0]) > _ONE_SIDED**2 else None
+            w, cost = terms.mixture(odds, sigma, seen)
         elif sigma[0] != kind.sigma:
             spread = sigma = np.full(len(solids.R), kind.sigma)
-            w, cost = terms.mixture(sigma, seen)
+            odds = terms.odds(sigma)
+            w, cost = terms.mixture(odds, sigma, None)
         viewer = viewers(solids, view)
         pull = (kind.outline * problem.count) * np.maximum(spread, _LEAST_PULL) ** 2
-        step = _solve(solids, terms, terms.J * w[:, None], pull[:, None] * outline_jacobian(solids, viewer), damping)
+        step = _solve(solids, terms, w, pull[:, None] * outline_jacobian(solids, viewer), damping)
         trial = solids.moved(step, _LOW, _HIGH)
         trial_terms = problem.terms(trial)
-        trial_w, trial_cost = trial_terms.mixture(sigma, seen)
+        trial_odds = trial_terms.odds(sigma)
+        trial_w, trial_cost = trial_terms.mixture(trial_odds, sigma, seen)
         better = trial_cost + pull * (outline(trial, viewer) - outline(solids, viewer)) < cost
         if better.all():
-            solids, terms, w, cost = trial, trial_terms, trial_w, trial_cost
+            solids, terms, odds, w, cost = trial, trial_terms, trial_odds, trial_w, trial_cost
             damping = np.maximum(damping * 0.2, 1e-7)
         else:
-            solids.R[better], solids.vector[better] = trial.R[better], trial.vector[better]
+            solids = trial.where(better, solids)
             terms.replace(trial_terms, better)
-            w[better], cost[better] = trial_w[better], trial_cost[better]
+            odds[better], w[better], cost[better] = trial_odds[better], trial_w[better], trial_cost[better]
             damping = np.where(better, damping * 0.2, np.minimum(damping * 8.0, 1e3))
         # |grad G| is held fixed during a step, so near the minimum a step need not descend: refusals end there too
         if estimate and (not better[0] or float(np.abs(step).max()) < _CONVERGED):
             converged = kind
-    return solids, cost, w, terms.deviation(w)
+    return _Descended(solids, terms, cost, w)
 
 
-def _solve(
-    solids: Solids, terms: _Terms, weighted: FloatArray, area_slope: FloatArray, damping: FloatArray
-) -> FloatArray:
+def _solve(solids: Solids, terms: _Terms, w: FloatArray, area_slope: FloatArray, damping: FloatArray) -> FloatArray:
     """One damped Gauss-Newton step (S, 11) that does not push parameters through their bounds."""
-    H = weighted @ terms.J.transpose(0, 2, 1)
-    g = (weighted @ terms.r[..., None])[..., 0]
+    w = w / terms.slope
+    g = (terms.J @ (w * terms.r)[..., None])[..., 0]
     g += area_slope
+    w /= terms.slope
+    H = (terms.J * w[:, None]) @ terms.J.transpose(0, 2, 1)
     if terms.r_table is not None and terms.J_table is not None:
         H += terms.J_table[:, :, None] * terms.J_table[:, None]
         g += terms.J_table * terms.r_table[:, None]
@@ -228,13 +254,14 @@ def _solve(
     diagonal = H.reshape(len(H), -1)[:, :: PARAMETERS + 1]
     # damping has an absolute part too: hidden sides have no curvature of their own, only the outline's pull
     diagonal += damping[:, None] * (diagonal + _DAMPED * terms.r.shape[1])
-    for solid, parameter in zip(*np.nonzero(stuck), strict=True):
-        H[solid, 6 + parameter] = 0.0
-        H[solid, :, 6 + parameter] = 0.0
-        H[solid, 6 + parameter, 6 + parameter] = 1.0
-        g[solid, 6 + parameter] = 0.0
+    if stuck.any():
+        for solid, parameter in zip(*np.nonzero(stuck), strict=True):
+            H[solid, 6 + parameter] = 0.0
+            H[solid, :, 6 + parameter] = 0.0
+            H[solid, 6 + parameter, 6 + parameter] = 1.0
+            g[solid, 6 + parameter] = 0.0
     # Cholesky one by one: numpy's batched LU costs more than all of them
-    return np.array([lapack.dposv(H_s, -g_s)[1] for H_s, g_s in zip(H, g, strict=True)])
+    return -np.array([lapack.dposv(H_s, g_s)[1] for H_s, g_s in zip(H, g, strict=True)])
 
 
 def fit_superquadric(points: NDArray[np.floating], table_top: float | None = None) -> SuperquadricFit:
@@ -258,12 +285,13 @@ def fit_superquadric(points: NDArray[np.floating], table_top: float | None = Non
     table = None if table_top is None else (table_top - origin[2]) / size
     few = sample[:: max(1, round(len(sample) / _COARSE_POINTS))]
     coarse = _Problem(few, table)
-    solids, cost, _, _ = _descend(coarse, starts(few, table), _FIRST, estimate=False)
-    solids = solids.take(np.argsort(cost, kind="stable")[:_KEPT])
-    solids, cost, _, _ = _descend(coarse, solids, _SECOND, estimate=False)
-    solids = solids.take(np.argmin(cost, keepdims=True))
-    solids, _, w, deviation = _descend(_Problem(sample, table), solids, _LAST, estimate=True)
+    found = _descend(coarse, starts(few, table), _FIRST, estimate=False)
+    best = np.argsort(found.cost, kind="stable")[:_KEPT]
+    found = _descend(coarse, found.solids.take(best), _SECOND, estimate=False, terms=found.terms.take(best))
+    solids = found.solids.take(np.argmin(found.cost, keepdims=True))
+    found = _descend(_Problem(sample, table), solids, _LAST, estimate=True)
+    solids, deviation = found.solids, found.terms.deviation(found.w)
     shape = Superquadric.from_parts(
         solids.half[0] * size, solids.exponents[0].copy(), solids.R[0], solids.center[0] * size + origin
     )
-    return SuperquadricFit(shape, float(deviation[0]) * size, float(w.mean()))
+    return SuperquadricFit(shape, float(deviation[0]) * size, float(found.w.mean()))

@@ -7,6 +7,7 @@ Arrays are laid out with the points last, which numpy walks fastest.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,12 @@ from icub_grasp_generators.superquadrics.shape import nested_norm
 
 PARAMETERS = 11
 _TINY = 1e-12  # added to divisors that may be zero
+_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]  # axes after an axis, in turn
 
 
-@dataclass
+@dataclass(frozen=True)
 class Solids:
-    """S superquadrics as bare arrays.
+    """S superquadrics as bare arrays, which nobody writes to.
 
     Attributes:
         R: (S, 3, 3) rotations.
@@ -35,10 +37,11 @@ class Solids:
         """(S, 3)."""
         return self.vector[:, :3]
 
-    @property
+    @cached_property
     def half(self) -> FloatArray:
         """(S, 3) half axes."""
-        return np.exp(self.vector[:, 3:6])
+        half: FloatArray = np.exp(self.vector[:, 3:6])
+        return half
 
     @property
     def exponents(self) -> FloatArray:
@@ -46,8 +49,14 @@ class Solids:
         return self.vector[:, 6:]
 
     def take(self, index: NDArray[np.intp]) -> Solids:
-        """Return copies of the solids with these numbers."""
+        """Return the solids with these numbers."""
         return Solids(self.R[index], self.vector[index])
+
+    def where(self, chosen: NDArray[np.bool_], other: Solids) -> Solids:
+        """Return these solids where `chosen` (S,) holds, those of `other` elsewhere."""
+        return Solids(
+            np.where(chosen[:, None, None], self.R, other.R), np.where(chosen[:, None], self.vector, other.vector)
+        )
 
     def moved(self, step: FloatArray, low: FloatArray, high: FloatArray) -> Solids:
         """Return the solids after steps (S, 11), with `vector` clipped to `low` and `high` (8,)."""
@@ -74,10 +83,18 @@ def _cayley(x: float, y: float, z: float) -> list[list[float]]:
 
 
 def _cross_rows(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
-    """Cross product of (S, 3, ...) along axis 1 into `out`."""
-    out[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
-    out[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
-    out[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    """Cross product of (S, 5, ...) along axis 1, whose last two rows repeat the first two, into `out` (S, 3, ...)."""
+    np.multiply(a[:, 1:4], b[:, 2:5], out=out)
+    out -= a[:, 2:5] * b[:, 1:4]
+
+
+def columns(points: FloatArray, direction: FloatArray | None) -> FloatArray:
+    """Lay points (N, 3) out as homogeneous columns (4, N), with a direction (3,) as one more column."""
+    rows = np.ones((4, len(points) + (direction is not None)))
+    rows[:3, : len(points)] = points.T
+    if direction is not None:
+        rows[:3, -1], rows[3, -1] = direction, 0.0
+    return rows
 
 
 @dataclass
@@ -99,53 +116,57 @@ class SolidValues:
     J_reach: FloatArray | None = None
 
 
-def evaluate(solids: Solids, points: FloatArray, direction: FloatArray | None = None) -> SolidValues:
-    """Evaluate the norm G at points (3, N) and, when asked for, how far the solids reach along a direction.
+def evaluate(solids: Solids, rows: FloatArray, with_direction: bool) -> SolidValues:
+    """Evaluate the norm G at points and, when asked for, how far the solids reach along a direction.
 
     Args:
         solids: S of them.
-        points: (3, N).
-        direction: (3,) unit vector. The support function is the dual norm and is computed in the same sweep, as one
-            more column: the calls, not the arithmetic, are what one vector costs.
+        rows: Points, and perhaps the direction, as `columns` lays them out.
+        with_direction: The last column is a direction. The support function is the dual norm and is computed in the
+            same sweep: the calls, not the arithmetic, are what one vector costs.
     """
     R, half, exponents = solids.R, solids.half, solids.exponents
     R_t = R.transpose(0, 2, 1)
-    count = points.shape[1]
-    column = half[:, :, None]
-    local = R_t @ points
-    local -= R_t @ solids.center[:, :, None]
-    s = 2.0 / exponents
-    if direction is None:
-        v, s1, s2 = local / column, s[:, :1], s[:, 1:]
-    else:
-        u = direction @ R
-        v = np.empty((len(R), 3, count + 1))
-        np.divide(local, column, out=v[:, :, :count])
-        v[:, :, count] = half * u
-        s1, s2 = np.empty((2, len(R), count + 1))
-        s1[:, :count], s2[:, :count] = s[:, :1], s[:, 1:]
-        q = 2.0 / (2.0 - exponents)
-        s1[:, count], s2[:, count] = q[:, 0], q[:, 1]
-    values = nested_norm(v, s1, s2)
+    T = np.empty((len(R), 3, 4))
+    T[:, :, :3] = R_t
+    np.negative((R_t @ solids.center[:, :, None])[..., 0], out=T[:, :, 3])
+    width = rows.shape[1]
+    count = width - with_direction
+    local = np.empty((len(R), 5, width))
+    np.matmul(T, rows, out=local[:, :3])
+    local[:, 3:] = local[:, :2]
+    v = local[:, :3] / half[:, :, None]
+    s = (2.0 / exponents).T[:, :, None]
+    if with_direction:
+        v[:, :, count] = half * local[:, :3, count]
+        powers = np.empty((2, len(R), width))
+        powers[:] = s
+        powers[:, :, count] = (2.0 / (2.0 - exponents)).T
+        s = powers
+    values = nested_norm(v, s[0], s[1])
     norm = values.norm
 
-    J = np.empty((len(R), PARAMETERS, norm.shape[1]))
+    J = np.empty((len(R), PARAMETERS, width))
     np.multiply(values.shares, -norm[:, None], out=J[:, 6:9])
-    by_local = J[:, 6:9, :count] / (local + np.copysign(_TINY, local))  # -dG/dlocal
-    np.matmul(R, by_local, out=J[:, 0:3, :count])
-    _cross_rows(local, by_local, J[:, 3:6, :count])
-    slope = np.sqrt(np.einsum("skn,skn->sn", by_local, by_local))
-    norm_half = -0.5 * norm
-    np.multiply(values.by_s1, norm_half * s1**2, out=J[:, 9])
-    np.multiply(values.by_s2, norm_half * s2**2, out=J[:, 10])
-    if direction is None:
+    by_local = np.empty_like(local)
+    divisor = np.copysign(_TINY, local[:, :3])
+    divisor += local[:, :3]
+    np.divide(J[:, 6:9], divisor, out=by_local[:, :3])  # -dG/dlocal
+    by_local[:, 3:] = by_local[:, :2]
+    np.matmul(R, by_local[:, :3], out=J[:, 0:3])
+    _cross_rows(local, by_local, J[:, 3:6])
+    slope = np.sqrt(np.einsum("skn,skn->sn", by_local[:, :3], by_local[:, :3]))
+    by_exponents = s * s * (-0.5 * norm)
+    np.multiply(values.by_s1, by_exponents[0], out=J[:, 9])
+    np.multiply(values.by_s2, by_exponents[1], out=J[:, 10])
+    if not with_direction:
         return SolidValues(norm, J, slope)
-    # the dual's powers grow with the exponents and its argument with the axes, hence the opposite signs
+    # the dual's powers grow with the exponents and its argument with the axes, hence the opposite signs; a turn acts
+    # on its argument as on a point
     J_reach = -J[:, :, count]
     J_reach[:, 0:3] = 0.0
-    by_u = J_reach[:, 6:9] / (u + np.copysign(_TINY, u))
-    _cross_rows(by_u, u, J_reach[:, 3:6])
-    return SolidValues(norm[:, :count], J[:, :, :count], slope, norm[:, count], J_reach)
+    J_reach[:, 3:6] = J[:, 3:6, count]
+    return SolidValues(norm[:, :count], J[:, :, :count], slope[:, :count], norm[:, count], J_reach)
 
 
 def viewers(solids: Solids, normals: FloatArray) -> FloatArray:
@@ -174,10 +195,10 @@ def outline(solids: Solids, view: FloatArray) -> FloatArray:
 def outline_jacobian(solids: Solids, view: FloatArray) -> FloatArray:
     """Differentiate `outline` by the eleven parameters: (S, 11)."""
     d = (view[:, None, :] @ solids.R)[:, 0]
-    face = 1.0 / solids.half  # up to the factor a1 a2 a3
-    seen = np.abs(d) * face
-    total = seen.sum(axis=1, keepdims=True) + _TINY
+    seen = np.abs(d) / solids.half  # areas, up to the factor a1 a2 a3
+    seen /= seen.sum(axis=1, keepdims=True) + _TINY
     J = np.zeros((len(d), PARAMETERS))
-    _cross_rows(np.copysign(face / total, d), d, J[:, 3:6])
-    J[:, 6:9] = 1.0 - seen / total
+    by_d = seen / (d + np.copysign(_TINY, d))
+    J[:, 3:6] = by_d[:, _NEXT] * d[:, _AFTER] - by_d[:, _AFTER] * d[:, _NEXT]
+    np.subtract(1.0, seen, out=J[:, 6:9])
     return J

@@ -52,7 +52,8 @@ def starts(points: FloatArray, table: float | None) -> Solids:
         best[1] = best[0]
     Rs, low, high = Rs[best], low[best], high[best]
     if table is not None:
-        high[1, 2] = np.quantile(points[:, 2], _SHOULDER)
+        shoulder = int(_SHOULDER * len(points))
+        high[1, 2] = np.partition(points[:, 2], shoulder)[shoulder]
         low[:, 2] = np.minimum(table, high[:, 2] - 0.02)
     center = (Rs @ ((low + high) / 2)[..., None])[..., 0]
     half = np.maximum((high - low) / 2, 0.02)
