@@ -9,12 +9,16 @@
 all classes anew as thesis 11.8.1 does. Old classes are examined before and after on test frames on which the new object
 does not occur; the new one on frames where it stands among old ones, and so is how often it is taken for one of them.
 
+Runs are kept one by one in the work folder: interrupted, the same line goes on with the next one. They are known by
+seed, numbers of frames and overrides, not by the code: measure again with --fresh after changing it.
 Rendered frames are kept in the user's cache folder and made when they are missing.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
 import math
 import shlex
 import statistics
@@ -31,6 +35,7 @@ from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import IcubError
 from icub_core.evaluation.detection import DetectionMetrics, evaluate_instances
 from icub_core.evaluation.results import Figure, write_results
+from icub_core.files import write_text_atomically
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.scene import ObjectSpec
 from icub_datasets.rendered.objects import CLUTTER, TABLETOP, target_object
@@ -56,6 +61,19 @@ class NewObject(RenderedTabletop):
         if self._split == "train":
             return [[NEW]] * len(super()._deal())
         return [[NEW, *deal[:COMPANIONS]] for deal in super()._deal()]
+
+
+def kept_or_run(options: argparse.Namespace, seed: int, progress: Progress) -> dict[str, float]:
+    """Return the figures of one run, read back if it was finished before."""
+    chosen = [seed, options.train_frames, options.new_frames, options.test_frames, sorted(options.overrides)]
+    key = hashlib.sha256(repr(chosen).encode()).hexdigest()[:12]
+    file = options.work / f"{seed}-{key}.json"
+    if file.exists() and not options.fresh:
+        kept: dict[str, float] = json.loads(file.read_text())
+        return kept
+    figures = run(options, seed, progress)
+    write_text_atomically(file, json.dumps(figures, indent=1))
+    return figures
 
 
 def run(options: argparse.Namespace, seed: int, progress: Progress) -> dict[str, float]:
@@ -152,6 +170,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--new-frames", type=int, default=36, help="frames of the new object")
     parser.add_argument("--test-frames", type=int, default=120)
     parser.add_argument("--overrides", nargs="*", default=[], help="of the configuration: segmenter.mode=faithful ...")
+    parser.add_argument("--fresh", action="store_true", help="measure again what was measured before")
+    parser.add_argument("--work", type=Path, default=Path("runs/benchmarks/incremental"), help="folder of the runs")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     console = Console(stderr=True)
@@ -159,9 +179,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with Progress(console=console) as progress:
             for seed in range(options.runs):
-                runs.append(run(options, seed, progress))
+                runs.append(kept_or_run(options, seed, progress))
     except KeyboardInterrupt:
-        console.print("stopped: nothing is written; frames that were rendered are kept")
+        console.print("stopped; the same line goes on after the last finished run")
         return 130
     except IcubError as error:
         console.print(f"error: {error}", style="red", highlight=False)

@@ -7,10 +7,12 @@ from icub_core.errors import CheckpointError, DataError, NotFittedError
 from icub_segmenters.detection import OnlineDetector
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.heads.linear import Linear
-from icub_segmenters.incremental import add_class
+from icub_segmenters.incremental import add_class, add_together
 from icub_segmenters.minibootstrap import Minibootstrap
+from icub_segmenters.normalization import Normalization
 from icub_segmenters.online_segmenter import OnlineSegmenter
 from icub_segmenters.region_store import Regions, RegionStore
+from icub_segmenters.sampling import class_negatives
 
 PROCEDURE = Minibootstrap(3, 300)
 DIM = 24
@@ -106,6 +108,47 @@ def test_one_by_one_added_classes_are_found_and_a_whole_training_takes_them_in()
     made.train(store, 4, torch.Generator().manual_seed(0))
     assert made.additions == []
     assert torch.equal(made.scores(X), trained(store, 4).scores(X))
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_several_classes_that_come_together_are_told_apart_and_leave_the_others(shared):
+    store = filled_store([0, 1])
+    made = trained(store, 2, shared=shared)
+    X = made.normalization(torch.cat([blob(CENTERS[c], 50, 40 + c) for c in range(5)]))
+    before = made.scores(X)
+    for c in (2, 3, 4):
+        extended(store, c)
+    made.add_classes(store, 5, torch.Generator().manual_seed(1))
+    after = made.scores(X)
+    assert torch.equal(after[:100, :2], before[:100])
+    assert (after.argmax(dim=1) == torch.arange(5).repeat_interleave(50)).float().mean() > 0.98
+
+
+def test_a_class_added_in_the_shared_mode_is_found_as_well_as_by_algorithm_1():
+    centers = CENTERS.clone()
+    centers[3] = centers[0] + 0.4 * (centers[1] - centers[0])  # not easily told from class 0
+    store = filled_store([0, 1, 2], centers)
+    made = trained(store, 3)
+    extended(store, 3, centers)
+    X = made.normalization.rows_of(store.features)
+    negatives = class_negatives(store, 3, PROCEDURE.budget, torch.Generator().manual_seed(1))
+    faithful = add_class(3, PROCEDURE, make_head, X, store.label, negatives)
+    together = add_together(3, 1, PROCEDURE, make_head, X, store.label, negatives)
+    test = made.normalization(torch.cat([blob(centers[c], 200, 90 + c) for c in range(4)]))
+    own = torch.arange(4).repeat_interleave(200) == 3
+
+    def right(addition):
+        return ((addition.head.decision_function(test)[:, 0] > 0) == own).float().mean()
+
+    assert right(together) > right(faithful) - 0.02
+    assert right(together) > 0.95
+
+
+def test_rows_are_normalised_when_they_are_asked_for():
+    X = torch.randn(30, 5, generator=torch.Generator().manual_seed(0))
+    scale = Normalization.of(X)
+    rows = torch.tensor([7, 3, 3, 29])
+    assert torch.equal(scale.rows_of(X)[rows], scale(X)[rows])
 
 
 @pytest.mark.parametrize("shared", [True, False])

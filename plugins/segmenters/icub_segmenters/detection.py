@@ -12,11 +12,11 @@ from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatur
 from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.boxes import decode, encode, iou, paired_iou
 from icub_segmenters.heads.rls import Rls
-from icub_segmenters.incremental import Addition, add_class
-from icub_segmenters.minibootstrap import MakeHead, Minibootstrap
+from icub_segmenters.incremental import Addition, add_class, add_together
+from icub_segmenters.minibootstrap import MakeHead, Minibootstrap, Rows
 from icub_segmenters.normalization import Normalization
 from icub_segmenters.region_store import RegionStore
-from icub_segmenters.sampling import class_negatives, sample_per_group, shared_negatives
+from icub_segmenters.sampling import class_negatives, later_negatives, sample_per_group, shared_negatives
 
 NMS_IOU = 0.3
 MOST_OF_A_CLASS = 20
@@ -67,7 +67,7 @@ class BoxRegressors:
     def __init__(self) -> None:
         self.heads: dict[int, Rls] = {}
 
-    def fit(self, X: torch.Tensor, store: RegionStore, lowest_iou: float, first: int = 0) -> None:
+    def fit(self, X: Rows, store: RegionStore, lowest_iou: float, first: int = 0) -> None:
         """Train on the positives of `store` whose IoU with their true box is at least `lowest_iou`; X (n, d).
 
         Classes below `first` stay as they are.
@@ -141,16 +141,11 @@ class OnlineDetector:
             generator: Decides which negatives are seen.
         """
         normalization = Normalization.of_classes(store.features, store.label, generator)
-        X = normalization(store.features)
+        X = normalization.rows_of(store.features)
         budget = self.procedure.budget
         heads: dict[int, OnlineHead] = {}
         if self.shared:
-            # so that many classes or long showings do not outgrow the negatives
-            rows = torch.nonzero(store.label >= 0).flatten()
-            most = max(LEAST_POSITIVES, budget // classes)
-            rows = sample_per_group(rows, store.label[rows], most, generator)
-            label = torch.full_like(store.label, -1)
-            label[rows] = store.label[rows]
+            label = self._limited(store, 0, classes, generator)
             heads[0] = self.procedure.train_shared(
                 self.make_head, X, label, shared_negatives(store, budget, generator), classes
             )
@@ -165,8 +160,7 @@ class OnlineDetector:
         if self.repool:
             self.fine.fit(X, store, TIGHT_IOU)
         self.normalization, self.heads, self.additions = normalization, heads, []
-        self._known = torch.zeros(classes, dtype=torch.bool)
-        self._known[store.label[store.label >= 0].unique()] = True
+        self._known = torch.isin(torch.arange(classes), store.label)
 
     def add_classes(self, store: RegionStore, classes: int, generator: torch.Generator) -> None:
         """Train only the classes that are new since the last training; see `incremental` for where old ones yield.
@@ -180,17 +174,36 @@ class OnlineDetector:
         """
         if self.normalization is None:
             raise NotFittedError("the detector has no classes to add to: train it first")
-        known = self.number_of_classes
-        X = self.normalization(store.features)
-        for c in range(known, classes):
-            negatives = class_negatives(store, c, self.procedure.budget, generator)
-            addition = add_class(c, self.procedure, self.make_head, X, store.label, negatives)
-            self._known = torch.cat([self._known, torch.tensor([addition is not None])])
-            if addition is not None:
-                self.additions.append(addition)
+        known, budget = self.number_of_classes, self.procedure.budget
+        X = self.normalization.rows_of(store.features)
+        additions: list[Addition] = []
+        if self.shared:
+            label = self._limited(store, known, classes, generator)
+            negatives = later_negatives(store, known, budget, generator)
+            arguments = self.procedure, self.make_head, X, label, negatives
+            additions.append(add_together(known, classes - known, *arguments))
+        else:
+            for c in range(known, classes):
+                negatives = class_negatives(store, c, budget, generator)
+                addition = add_class(c, self.procedure, self.make_head, X, store.label, negatives)
+                additions += [] if addition is None else [addition]
         self.coarse.fit(X, store, 0.0, known)
         if self.repool:
             self.fine.fit(X, store, TIGHT_IOU, known)
+        self.additions = [*self.additions, *additions]
+        self._known = torch.cat([self._known, torch.isin(torch.arange(known, classes), store.label)])
+
+    def _limited(self, store: RegionStore, first: int, classes: int, generator: torch.Generator) -> torch.Tensor:
+        """Return labels (n,), -1 for classes below `first` and for positives beyond a class's share of the budget.
+
+        So many classes or long showings do not outgrow the negatives.
+        """
+        rows = torch.nonzero(store.label >= first).flatten()
+        most = max(LEAST_POSITIVES, self.procedure.budget // (classes - first))
+        rows = sample_per_group(rows, store.label[rows], most, generator)
+        label = torch.full_like(store.label, -1)
+        label[rows] = store.label[rows]
+        return label
 
     def scores(self, X: torch.Tensor) -> torch.Tensor:
         """Return scores (n, classes) of normalised features X (n, d)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 
@@ -14,6 +15,13 @@ from icub_segmenters.heads.nystrom import NystromSystem
 from icub_segmenters.heads.products import fast_products
 
 MakeHead = Callable[[], OnlineHead]
+
+
+class Rows(Protocol):
+    """Samples that are asked for by row numbers: a tensor, or a view that prepares rows when they are used."""
+
+    def __getitem__(self, rows: torch.Tensor, /) -> torch.Tensor:
+        """Return the samples (k, d) of row numbers (k,)."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +52,7 @@ class Minibootstrap:
         return self.batches * self.batch_size
 
     def train_class(
-        self, make_head: MakeHead, X: torch.Tensor, positives: torch.Tensor, negatives: torch.Tensor
+        self, make_head: MakeHead, X: Rows, positives: torch.Tensor, negatives: torch.Tensor
     ) -> OnlineHead | None:
         """Train one class as the thesis does: own samples, own centres drawn anew in every round.
 
@@ -70,7 +78,7 @@ class Minibootstrap:
         return head
 
     def train_shared(
-        self, make_head: MakeHead, X: torch.Tensor, label: torch.Tensor, negatives: torch.Tensor, classes: int
+        self, make_head: MakeHead, X: Rows, label: torch.Tensor, negatives: torch.Tensor, classes: int
     ) -> OnlineHead:
         """Train all classes at once on one pool of regions: a documented variation, much faster.
 
@@ -106,7 +114,7 @@ class Minibootstrap:
     def _train_shared_falkon(
         self,
         head: Falkon,
-        X: torch.Tensor,
+        X: Rows,
         Y: torch.Tensor,
         start: torch.Tensor,
         rest: list[torch.Tensor],
@@ -132,10 +140,10 @@ def one_vs_rest(label: torch.Tensor, classes: int) -> torch.Tensor:
     return torch.where(label[:, None] == torch.arange(classes), 1.0, -1.0)
 
 
-def _fit(head: OnlineHead, X: torch.Tensor, positives: torch.Tensor, negatives: torch.Tensor) -> None:
+def _fit(head: OnlineHead, X: Rows, positives: torch.Tensor, negatives: torch.Tensor) -> None:
     Y = torch.cat([torch.ones(len(positives), 1), -torch.ones(len(negatives), 1)])
     head.fit(X[torch.cat([positives, negatives])], Y)
 
 
-def _scores(head: OnlineHead, X: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+def _scores(head: OnlineHead, X: Rows, rows: torch.Tensor) -> torch.Tensor:
     return head.decision_function(X[rows]).squeeze(1)

@@ -32,6 +32,10 @@ class Normalization:
         """Normalise features (..., d)."""
         return X.sub(self.mean.to(X)).mul_(TARGET_NORM / self.mean_norm)
 
+    def rows_of(self, X: torch.Tensor) -> NormalizedRows:
+        """Return a view of X (n, d) whose rows are normalised when they are asked for."""
+        return NormalizedRows(self, X)
+
     @classmethod
     def of(cls, X: torch.Tensor) -> Normalization:
         """Measure samples X (n, d)."""
@@ -53,3 +57,20 @@ class Normalization:
             members = torch.nonzero(label == c).flatten()
             rows.append(members[torch.randperm(len(members), generator=generator)[:count]])
         return cls.of(X[torch.cat(rows)])
+
+
+@dataclass(frozen=True, eq=False)
+class NormalizedRows:
+    """Features X (n, d) of which training uses few: only those are copied and normalised.
+
+    Attributes:
+        normalization: Their scale.
+        X: (n, d) as they are kept.
+    """
+
+    normalization: Normalization
+    X: torch.Tensor
+
+    def __getitem__(self, rows: torch.Tensor) -> torch.Tensor:
+        """Return the normalised rows (k, d) of row numbers (k,)."""
+        return self.normalization(self.X[rows])

@@ -62,6 +62,11 @@ def class_negatives(store: RegionStore, number: int, budget: int, generator: tor
     return sample(_of_images(store, store.near != number, budget), budget, generator)
 
 
+def later_negatives(store: RegionStore, first: int, budget: int, generator: torch.Generator) -> torch.Tensor:
+    """Draw the common negatives of all classes from `first` on, as `class_negatives` does for one."""
+    return sample(_of_images(store, store.near < first, budget), budget, generator)
+
+
 def thin_out(store: RegionStore, budget: int) -> None:
     """Forget what no class will use any more; what `shared_negatives` and `class_negatives` choose stays the same.
 
