@@ -15,7 +15,9 @@ from icub_core.scene import Table
 from icub_grasp_generators.hand_geometry import read_hand_geometry
 from icub_grasp_generators.synthetic_clouds import surface
 from icub_grasp_generators.vgn.generator import Vgn
+from icub_grasp_generators.vgn.hand_search import around
 from icub_grasp_generators.vgn.network import SHIPPED, VgnNetwork
+from icub_grasp_generators.vgn.palm import at_palm
 
 TABLE = Table()
 CAN = ("cylinder", np.array([0.033, 0.033, 0.05]))
@@ -72,6 +74,7 @@ def test_grasps_are_reached_on_the_whole_way_and_clear_of_table_and_object(gener
 def test_the_left_hand_grasps_the_mirror_image(generator, icub):
     cloud = cloud_of(CAN)
     right, _ = generator.predict(cloud, TABLE)
+    right = np.concatenate([right, around(at_palm(right)[:, :3, 3], cloud)])
     grasps = generator.propose(mirrored(cloud), icub, TABLE, "left").grasps
     assert grasps
     for grasp in grasps:

@@ -8,8 +8,8 @@ from safetensors.torch import save_file
 
 from icub_core.errors import WeightsError
 from icub_grasp_generators.vgn.network import HAND, Meaning, VgnNetwork, load_network, save_network
+from icub_grasp_generators.vgn.network_training import loss_of
 from icub_grasp_generators.vgn.samples import Batch
-from icub_grasp_generators.vgn.training import loss_of
 
 ORIGINAL = {
     "encoder.conv1": (16, 1, 5), "encoder.conv2": (32, 16, 3), "encoder.conv3": (64, 32, 3),
@@ -50,7 +50,7 @@ def test_shapes_and_ranges(network):
 
 def test_the_original_file_fits_and_counts_as_a_gripper_s(tmp_path):
     tensors = original_file(tmp_path / "vgn_conv.pth")
-    network, meaning = load_network(str(tmp_path / "vgn_conv.pth"))
+    network, meaning, _ = load_network(str(tmp_path / "vgn_conv.pth"))
     assert meaning == Meaning("gripper")
     assert network.state_dict().keys() == tensors.keys()
     # the released forward pass, layer by layer
@@ -71,7 +71,7 @@ def test_the_original_file_fits_and_counts_as_a_gripper_s(tmp_path):
 
 def test_own_files_keep_weights_and_meaning(network, tmp_path):
     save_network(tmp_path / "own.safetensors", network, Meaning(HAND))
-    again, meaning = load_network(str(tmp_path / "own.safetensors"))
+    again, meaning, _ = load_network(str(tmp_path / "own.safetensors"))
     assert meaning == Meaning(HAND)
     x = torch.rand(1, 1, 40, 40, 40)
     for one, other in zip(network(x), again(x), strict=True):

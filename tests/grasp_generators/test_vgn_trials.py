@@ -14,7 +14,7 @@ from icub_core.errors import DataError
 from icub_core.geometry import make_transform, rotation_about
 from icub_core.scene import Geom, ObjectSpec
 from icub_grasp_generators.synthetic_clouds import surface
-from icub_grasp_generators.vgn import training
+from icub_grasp_generators.vgn import judge_training, network_training, training
 from icub_grasp_generators.vgn.generation import generate
 from icub_grasp_generators.vgn.gripper_trials import TURNS, approaches, middle_of_longest_run
 from icub_grasp_generators.vgn.gripper_world import FINGER_DEPTH, MAX_WIDTH, GripperWorld
@@ -187,11 +187,13 @@ def test_generating_goes_on_after_the_last_file(tmp_path):
 @pytest.fixture
 def quick(monkeypatch):
     torch.set_num_threads(1)
-    parts = tuple(training.Part(p.name, p.pose, MadeUp, 0.05, 0.45) for p in training.PARTS)
+    parts = tuple(training.Part(p.name, p.pose, MadeUp, p.data, 0.05, 0.4) for p in training.PARTS)
     monkeypatch.setattr(training, "PARTS", parts)
+    monkeypatch.setattr(training, "JUDGE_SHARE", 0.1)
     monkeypatch.setattr(training, "MOST_BATCHES", 2)
-    monkeypatch.setattr(training, "SCENES_PER_STEP", 2)
-    monkeypatch.setattr(training, "VARIANTS", 2)
+    monkeypatch.setattr(network_training, "SCENES_PER_STEP", 2)
+    monkeypatch.setattr(network_training, "VARIANTS", 2)
+    monkeypatch.setattr(judge_training, "BATCH", 8)
 
 
 def test_training_writes_weights_and_cards_and_goes_on(quick, tmp_path):
@@ -199,21 +201,23 @@ def test_training_writes_weights_and_cards_and_goes_on(quick, tmp_path):
     training.train(tmp_path, 0, 0.03, lambda share, text: shares.append((share, text)))
     assert all(0.0 <= share <= 1.0 for share, _ in shares)
     for name, pose in (("parallel_jaw", "gripper"), ("icub_hand", "hand")):
-        _, meaning = load_network(str(tmp_path / f"{name}.safetensors"))
+        _, meaning, judge = load_network(str(tmp_path / f"{name}.safetensors"))
         assert meaning.pose == pose
+        assert (judge is not None) == (pose == "hand")
         card = json.loads((tmp_path / f"{name}.json").read_text())
         assert card["command"] == "icub train grasp_generator=vgn --seed 0 --minutes 0.03"
         assert card["figures"]["trials"] > 0
+        assert ("judge_trials" in card["figures"]) == ("judge" in card["steps"]) == (pose == "hand")
     steps = card["steps"]
     before = (tmp_path / "icub_hand.safetensors").read_bytes()
     training.train(tmp_path, 0, 0.03, lambda *_: None)  # nothing is left to do
     assert (tmp_path / "icub_hand.safetensors").read_bytes() == before
     training.train(tmp_path, 0, 0.06, lambda *_: None)
-    assert json.loads((tmp_path / "icub_hand.json").read_text())["steps"] > steps
+    assert json.loads((tmp_path / "icub_hand.json").read_text())["steps"]["network"] > steps["network"]
 
 
 def test_a_training_that_was_interrupted_has_its_checkpoint(quick, tmp_path, monkeypatch):
-    monkeypatch.setattr(training, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(network_training, "CHECKPOINT_SECONDS", 0.0)
 
     def stop(share: float, text: str) -> None:
         if "icub_hand: step 2" in text:
@@ -232,20 +236,20 @@ def test_a_training_that_was_interrupted_has_its_checkpoint(quick, tmp_path, mon
 def test_learning_tells_held_from_missed():
     """The made-up rule (above the box: held) is learned in a few dozen steps and holds on another box."""
     torch.manual_seed(0)
-    network = training.VgnNetwork()
-    fields = training.Fields([scene(0, 0), scene(1, 1)], "hand", 0)
+    network = network_training.VgnNetwork()
+    fields = network_training.Fields([scene(0, 0), scene(1, 1)], "hand", 0)
     optimiser = torch.optim.Adam(network.parameters(), 3e-3)
-    training.SCENES_PER_STEP, before = 4, training.SCENES_PER_STEP
+    network_training.SCENES_PER_STEP, before = 4, network_training.SCENES_PER_STEP
     try:
         for step in range(20):
             batch = fields.batch(step)
-            loss = training.loss_of(network.at_voxels(batch.tsdf, batch.scene, batch.index), batch, "hand")
+            loss = network_training.loss_of(network.at_voxels(batch.tsdf, batch.scene, batch.index), batch, "hand")
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
     finally:
-        training.SCENES_PER_STEP = before
-    figures = training.evaluate(network, [scene(9, 5)], "hand")
+        network_training.SCENES_PER_STEP = before
+    figures = network_training.evaluate(network, [scene(9, 5)], "hand")
     assert figures["auc"] > 0.95
 
 
@@ -267,7 +271,7 @@ def test_trials_with_the_robot_s_hand(monkeypatch):
         np.testing.assert_array_equal(one.success, other.success)
         np.testing.assert_array_equal(one.poses, other.poses)
     for tried in scenes:
-        assert len(tried.views) == 2
+        assert len(tried.views) == 1 + hand_trials.FURTHER_VIEWS
         cloud = np.concatenate([view.points for view in tried.views])
         gap = np.linalg.norm(tried.poses[:, None, :3, 3] - cloud[None, ::10], axis=2).min(axis=1)
         assert np.median(gap) < 0.04

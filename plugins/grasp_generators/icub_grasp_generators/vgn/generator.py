@@ -15,9 +15,12 @@ from icub_core.interfaces.grasp_generator import GraspGenerator
 from icub_core.interfaces.robot import Robot
 from icub_core.scene import Table
 from icub_grasp_generators.clouds import CLOUD_POINTS, MAX_TOUCHED, center_of, check_cloud, thin
-from icub_grasp_generators.reach import HandGeometries, Reach
+from icub_grasp_generators.reach import HandGeometries, Reach, clears_table
 from icub_grasp_generators.vgn.adaptation import hand_poses
+from icub_grasp_generators.vgn.hand_search import MOST_JUDGED, around
+from icub_grasp_generators.vgn.judge import HandJudge
 from icub_grasp_generators.vgn.network import GRIPPER, load_network
+from icub_grasp_generators.vgn.palm import at_palm
 from icub_grasp_generators.vgn.selection import WIDTHS, select
 from icub_grasp_generators.vgn.volume import Volume
 
@@ -33,13 +36,14 @@ class Vgn(GraspGenerator):
 
     Every voxel has a quality, a rotation and a width. The best voxels near the surface become hand poses; those that
     keep the open hand out of table and cloud and that the arm reaches on the whole way are returned, most confident
-    first.
+    first. Weights that were learned with the hand have a second network, the judge: around the best voxels many hand
+    poses are drawn, and its word on each is their confidence.
 
     Args:
         weights: ``"icub_hand"`` (shipped; learned from trials with the robot's hand), ``"parallel_jaw"`` (shipped;
             learned from trials with a gripper, adapted to the hand), the path of a file that
             ``icub train grasp_generator=vgn`` wrote, or the path of the original's weight file (``.pth``).
-        threshold: Least quality of a voxel, 0..1.
+        threshold: Least quality of a voxel, and least confidence of a judged hand pose, 0..1.
         table_in_volume: Whether the field contains the table.
         max_grasps: At most this many are returned.
 
@@ -54,7 +58,7 @@ class Vgn(GraspGenerator):
     ) -> None:
         if not 0.0 <= threshold < 1.0 or max_grasps < 1:
             raise ConfigError(f"vgn: threshold {threshold}, max_grasps {max_grasps}; expected 0 to 1 and at least 1")
-        self._network, self._meaning = load_network(weights)
+        self._network, self._meaning, self._judge = load_network(weights)
         self._threshold, self._table_in_volume, self._max_grasps = threshold, table_in_volume, max_grasps
         self._hands = HandGeometries()
 
@@ -71,17 +75,30 @@ class Vgn(GraspGenerator):
             seen = PointCloud(cloud.points, viewpoint=_viewpoint(cloud, robot))
             center = center_of(cloud.points, None if table is None else table.top)
             # a left hand grasps the mirror image of what a right hand grasps
-            T_world_hand, quality = self.predict(_mirrored(seen) if hand == "left" else seen, table)
+            right = _mirrored(seen) if hand == "left" else seen
+            T_right, quality = self.predict(right, table)
         except DataError as error:
             return GraspProposals((), reason=str(error))
         if len(quality) == 0:
             return GraspProposals((), center, f"no voxel has a quality of {self._threshold} or more")
-        if hand == "left":
-            T_world_hand = _MIRROR @ T_world_hand @ _FLIP
+        if self._judge is not None:
+            T_right = np.concatenate([T_right, around(at_palm(T_right)[:, :3, 3], right)])
+        T_world_hand = _MIRROR @ T_right @ _FLIP if hand == "left" else T_right
         free = geometry.occupancy.count(T_world_hand, thin(cloud.points, CLOUD_POINTS)) <= MAX_TOUCHED
         if not free.any():
             return GraspProposals((), center, f"at all {len(free)} poses found the open hand meets points of the cloud")
-        tries = [Grasp(T_world_hand[i], center, float(quality[i]), NAME, hand) for i in np.flatnonzero(free)]
+        if self._judge is not None:
+            free &= clears_table(geometry.hand.at(T_world_hand), geometry.hand.radii, table)
+            chosen = np.flatnonzero(free)[:MOST_JUDGED]
+            quality = np.zeros(len(free))
+            quality[chosen] = self._judged(self._judge, T_right[chosen], right, table)
+            free = quality >= self._threshold
+            if not free.any():
+                best = float(quality.max())
+                return GraspProposals((), center, f"no hand pose is judged {self._threshold} or more; best {best:.2g}")
+        order = np.flatnonzero(free)
+        order = order[np.argsort(-quality[order], kind="stable")]
+        tries = [Grasp(T_world_hand[i], center, float(quality[i]), NAME, hand) for i in order]
         grasps = Reach(robot, geometry, table, posture_weight=0.0).choose(tries, self._max_grasps)
         if not grasps:
             return GraspProposals((), center, f"the {hand} arm reaches none of {len(tries)} poses found")
@@ -94,10 +111,8 @@ class Vgn(GraspGenerator):
             cloud: With its viewpoint, world frame.
             table: The cube stands on it; without one, on the lowest point.
         """
-        top = None if table is None else table.top
-        center = center_of(cloud.points, top)
-        volume = Volume.around(center, float(cloud.points[:, 2].min()) if top is None else top)
-        tsdf = volume.tsdf((cloud,), top if self._table_in_volume else None)
+        volume, _, _ = _volume(cloud, table)
+        tsdf = volume.tsdf((cloud,), table.top if self._table_in_volume and table is not None else None)
         with torch.inference_mode():
             quality, rotation, width = self._network(torch.from_numpy(tsdf)[None, None])
         found = select(
@@ -110,12 +125,24 @@ class Vgn(GraspGenerator):
         )
         return hand_poses(found, volume, self._meaning.pose)
 
+    def _judged(self, judge: HandJudge, T_right: FloatArray, cloud: PointCloud, table: Table | None) -> FloatArray:
+        volume, center, bottom = _volume(cloud, table)
+        return judge.judge(volume.range_view(cloud), T_right, center, bottom)
+
     @classmethod
     def train(cls, run_dir: Path, seed: int, minutes: float, progress: Callable[[float, str], None]) -> None:
         """Make the shipped weights: trials in simulation, then gradient steps (see `training`)."""
         from icub_grasp_generators.vgn.training import train
 
         train(run_dir, seed, minutes, progress)
+
+
+def _volume(cloud: PointCloud, table: Table | None) -> tuple[Volume, FloatArray, float]:
+    """Return the cube around a cloud, the estimated middle (3,) of the object, and the height that it stands on."""
+    top = None if table is None else table.top
+    center = center_of(cloud.points, top)
+    bottom = float(cloud.points[:, 2].min()) if top is None else top
+    return Volume.around(center, bottom), center, bottom
 
 
 def _viewpoint(cloud: PointCloud, robot: Robot) -> FloatArray:
