@@ -23,6 +23,8 @@ from icub_core.interfaces.online_head import OnlineHead
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 from icub_segmenters.clutter import Compositor, Cutout
 from icub_segmenters.detection import Detections, OnlineDetector
+from icub_segmenters.faithful_rpn import FaithfulRpn
+from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.lesson import Lesson, check_masks, stacked
 from icub_segmenters.mask_geometry import boxes_of_masks, paste_masks
 from icub_segmenters.masks import OnlineMasks, PretrainedMasks
@@ -31,6 +33,7 @@ from icub_segmenters.online_rpn import OnlineRpn
 from icub_segmenters.region_store import RegionStore
 from icub_segmenters.regions import describe
 from icub_segmenters.sampling import thin_out
+from icub_segmenters.shared_rpn import SharedRpn
 
 log = logging.getLogger(__name__)
 
@@ -81,8 +84,8 @@ class OnlineSegmenter(Segmenter):
         Args:
             feature_extractor: Proposes and describes regions.
             online_head: Gives an untrained classifier at every call; used for regions and for pixels.
-            mode: ``"shared"``: one pool and one factorisation for all classes; ``"faithful"``: Algorithm 1, each
-                class with its own samples and centres.
+            mode: ``"shared"``: one pool and one factorisation for all classes, and one for the anchor types of a
+                level; ``"faithful"``: Algorithm 1, each class and anchor type with its own samples and centres.
             batches: Batches of negatives (n_B).
             batch_size: Negatives in a batch (BS).
             composites: Pictures with pasted clutter made of every observed frame, its instances taking turns; 0 for
@@ -111,7 +114,11 @@ class OnlineSegmenter(Segmenter):
         self.asks_online, self.asks_pretrained = masks != "pretrained", masks != "online" and has_masks
         self.detector = OnlineDetector(online_head, self.procedure, shared=mode == "shared", repool=repool)
         self.masks = OnlineMasks(online_head)
-        self.rpn = OnlineRpn(online_head, self.procedure) if proposals == "online" else None
+        self.rpn: OnlineRpn | None = None
+        if proposals == "online":
+            # a cell may be a positive of several anchor types, which a softmax, for one, cannot learn
+            shares = mode == "shared" and isinstance(online_head(), Falkon)
+            self.rpn = (SharedRpn if shares else FaithfulRpn)(online_head, self.procedure)
         self.store = RegionStore(feature_extractor.region_dim, seed)
         self._labels: list[str] = []  # numbered in the order in which they were first seen
         self._trained: tuple[str, ...] = ()
@@ -279,7 +286,7 @@ class OnlineSegmenter(Segmenter):
         masks.load_state_dict(parts["masks"])
         store.load_state_dict(parts["store"])
         if self.rpn is not None:
-            rpn = OnlineRpn(self.rpn.make_head, self.procedure, self.rpn.proposals)
+            rpn = self.rpn.fresh()
             rpn.load_state_dict(parts["rpn"])
             self.rpn = rpn
         self.detector, self.masks, self.store = detector, masks, store
