@@ -33,9 +33,9 @@ class SharedRpn(OnlineRpn):
     """One classifier for all anchor types that occur at the same cells, such as those of a pyramid's level.
 
     Such a group goes by its first type: cells with the same first type have the same types. Of each image and group a
-    uniform sample of the cells near objects is kept, and one of the others, by random numbers that each cell got when it
-    came: what is kept is what a batch would keep. Twice as many of the others were measured to add nothing, so hard ones
-    are not searched for.
+    uniform sample of the cells near objects is kept, and one of the others, by random numbers that each cell got when
+    it came: what is kept is what a batch would keep. Twice as many of the others were measured to add nothing, so hard
+    ones are not searched for.
     """
 
     TABLES = ("near", "far", "regressed")
