@@ -21,6 +21,7 @@ from icub_grasp_generators.vgn.hand_search import MOST_JUDGED, around
 from icub_grasp_generators.vgn.judge import HandJudge
 from icub_grasp_generators.vgn.network import GRIPPER, load_network
 from icub_grasp_generators.vgn.palm import at_palm
+from icub_grasp_generators.vgn.passage import passes
 from icub_grasp_generators.vgn.selection import WIDTHS, select
 from icub_grasp_generators.vgn.volume import Volume
 
@@ -28,6 +29,7 @@ NAME = "vgn"
 
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # the robot's plane of symmetry
 _FLIP = np.diag([1.0, 1.0, -1.0, 1.0])  # a left hand's palm looks along -z of its frame
+_SPARE = 3  # times as many poses are tested for reach as are returned: the way to some may be blocked
 _FIELD = 0.5  # metres between the object and a camera that had to be assumed
 
 
@@ -99,9 +101,12 @@ class Vgn(GraspGenerator):
         order = np.flatnonzero(free)
         order = order[np.argsort(-quality[order], kind="stable")]
         tries = [Grasp(T_world_hand[i], center, float(quality[i]), NAME, hand) for i in order]
-        grasps = Reach(robot, geometry, table, posture_weight=0.0).choose(tries, self._max_grasps)
-        if not grasps:
+        reached = Reach(robot, geometry, table, posture_weight=0.0).choose(tries, _SPARE * self._max_grasps)
+        if not reached:
             return GraspProposals((), center, f"the {hand} arm reaches none of {len(tries)} poses found")
+        grasps = tuple(grasp for grasp in reached if passes(grasp, cloud.points, robot, geometry))[: self._max_grasps]
+        if not grasps:
+            return GraspProposals((), center, f"on the way to all {len(reached)} poses the hand meets the cloud")
         return GraspProposals(grasps, center)
 
     def predict(self, cloud: PointCloud, table: Table | None) -> tuple[FloatArray, FloatArray]:
