@@ -122,6 +122,20 @@ def rotation_exp(vector: ArrayLike) -> FloatArray:
     return quat_wxyz_to_matrix(np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) / angle * v]))
 
 
+def spread_rotations(count: int) -> FloatArray:
+    """Return `count` rotations (count, 3, 3) that are spread evenly over all of them; always the same ones.
+
+    Source: super-Fibonacci spirals, Alexa 2022.
+    """
+    s = np.arange(count) + 0.5
+    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
+    r, big_r = np.sqrt(s / count), np.sqrt(1.0 - s / count)
+    alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi
+    return quat_wxyz_to_matrix(
+        np.stack([r * np.sin(alpha), r * np.cos(alpha), big_r * np.sin(beta), big_r * np.cos(beta)], axis=1)
+    )
+
+
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> FloatArray:
     """Return T_world_camera (camera z forward, y down) of a camera at `eye` whose axis meets `target`."""
     eye = np.asarray(eye, dtype=np.float64)

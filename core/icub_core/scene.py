@@ -64,6 +64,21 @@ class Material:
     shininess: float = 0.3
 
 
+@dataclass(frozen=True)
+class RestPose:
+    """One way in which an object stands on a table.
+
+    Attributes:
+        quat_wxyz: Orientation; any turn about the vertical is the same pose.
+        height: Of the object's origin above the table top, metres.
+        share: Of drops in every orientation that ended so, 0..1; None where nothing was dropped.
+    """
+
+    quat_wxyz: QuatWxyz
+    height: float
+    share: float | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class ObjectSpec:
     """One rigid object.
@@ -77,6 +92,7 @@ class ObjectSpec:
         rest_quat_wxyz: Orientation in which it stands on a table.
         rest_height: Height of the object's origin above the table top in that orientation, metres.
         half_extents: Half size of the axis-aligned box around the object in its own frame, centred on the origin.
+        rest_poses: Known ways to stand, the stated one first, then by frequency; may be empty.
     """
 
     name: str
@@ -88,6 +104,7 @@ class ObjectSpec:
     visual: tuple[Geom, ...] = ()
     material: Material = field(default_factory=Material)
     friction: Vec3 = (0.5, 0.005, 0.0001)
+    rest_poses: tuple[RestPose, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.collision:

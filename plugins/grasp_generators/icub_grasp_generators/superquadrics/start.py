@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.geometry import FloatArray, quat_wxyz_to_matrix, rotation_about
+from icub_core.geometry import FloatArray, rotation_about, spread_rotations
 from icub_grasp_generators.clouds import check_cloud, covariance, thin, trimmed_extents
 from icub_grasp_generators.superquadrics.residuals import Solids
 
@@ -71,16 +71,5 @@ def _principal(points: FloatArray) -> FloatArray:
     return axes * np.array([1.0, 1.0, np.sign(np.linalg.det(axes))])
 
 
-def _spread_rotations(count: int) -> FloatArray:
-    """`count` rotations spread evenly over SO(3) (super-Fibonacci spiral, Alexa 2022): (count, 3, 3)."""
-    s = np.arange(count) + 0.5
-    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
-    r, big_r = np.sqrt(s / count), np.sqrt(1.0 - s / count)
-    alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi
-    return quat_wxyz_to_matrix(
-        np.stack([r * np.sin(alpha), r * np.cos(alpha), big_r * np.sin(beta), big_r * np.cos(beta)], axis=1)
-    )
-
-
-_SPREAD = _spread_rotations(_FREE)
+_SPREAD = spread_rotations(_FREE)
 _UPRIGHT = np.stack([rotation_about("z", k * np.pi / 2 / _YAWS) for k in range(_YAWS)])

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from icub_core.errors import DataError
 from icub_core.geometry import quat_wxyz_to_matrix
-from icub_core.scene import Geom, Material, ObjectSpec, Vec3
+from icub_core.scene import Geom, Material, ObjectSpec, RestPose, Vec3
 from icub_simulators.cache import Arrays, cache_folder, cached_arrays, content_key
-from icub_simulators.objects.solids import RestPose, center_of_mass, hull_volume, rest_pose
+from icub_simulators.objects.solids import center_of_mass, hull_volume, rest_pose
 
 logger = logging.getLogger(__name__)
 
@@ -113,6 +113,12 @@ def convex_pieces(vertices: FloatArray, faces: IntArray, most: int, concavity: f
     return [arrays[name] for name in sorted(arrays)]
 
 
+def without_specks(pieces: list[FloatArray]) -> list[FloatArray]:
+    """Return the pieces that are more than `SPECK` of the volume of all."""
+    volumes = [hull_volume(p) for p in pieces]
+    return [p for p, volume in zip(pieces, volumes, strict=True) if volume > SPECK * sum(volumes)]
+
+
 def _volume(vertices: FloatArray, faces: IntArray) -> float:
     """Volume enclosed by a closed surface; meaningless (and seldom near the hull's) for an open one."""
     a, b, c = (vertices[faces[:, i]] - vertices[0] for i in range(3))
@@ -127,7 +133,7 @@ def solid_object(
     mass: float,
     material: Material,
     friction: Vec3,
-    rest: RestPose | None = None,
+    rest_poses: tuple[RestPose, ...] = (),
 ) -> ObjectSpec:
     """Turn convex pieces in metres into an object whose origin is the centre of its box.
 
@@ -138,18 +144,19 @@ def solid_object(
         mass: kg.
         material: Look.
         friction: Sliding, torsional, rolling.
-        rest: How it stands (its height is taken anew); None takes the lowest stable pose.
+        rest_poses: How it may stand, with heights of the pieces' origin. It stands in the first; without any, in the
+            lowest stable pose.
     """
-    total = sum(hull_volume(p) for p in pieces)
-    pieces = [p for p in pieces if hull_volume(p) > SPECK * total] or pieces
     everything = np.concatenate(pieces)
     low, high = everything.min(axis=0), everything.max(axis=0)
     middle = (low + high) / 2
     pieces = [p - middle for p in pieces]
     everything = everything - middle
-    if rest is None:
-        rest = rest_pose(everything, center_of_mass(pieces))
-    lowest = float((everything @ quat_wxyz_to_matrix(rest.quat_wxyz)[2]).min())
+    rests = rest_poses or (rest_pose(everything, center_of_mass(pieces)),)
+    # the origin has moved
+    rests = tuple(
+        RestPose(r.quat_wxyz, -float((everything @ quat_wxyz_to_matrix(r.quat_wxyz)[2]).min()), r.share) for r in rests
+    )
     visual: tuple[Geom, ...] = ()
     if surface is not None:
         visual = (Geom("mesh", mesh=_write_obj(surface[0] - middle, surface[1])),)
@@ -160,8 +167,9 @@ def solid_object(
         visual=visual,
         mass=mass,
         half_extents=(float(half[0]), float(half[1]), float(half[2])),
-        rest_height=-lowest,
-        rest_quat_wxyz=rest.quat_wxyz,
+        rest_height=rests[0].height,
+        rest_quat_wxyz=rests[0].quat_wxyz,
+        rest_poses=rests if rest_poses else (),
         material=material,
         friction=friction,
     )

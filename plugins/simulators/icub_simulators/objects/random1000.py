@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from icub_core.errors import ConfigError, DataError, unknown_name
 from icub_core.geometry import quat_wxyz_to_matrix
 from icub_core.interfaces.object_set import ObjectSet
-from icub_core.scene import Material, ObjectSpec
+from icub_core.scene import Material, ObjectSpec, RestPose
 from icub_simulators.cache import Arrays, cached_arrays, content_key
-from icub_simulators.objects.meshes import solid_object
+from icub_simulators.objects.meshes import solid_object, without_specks
 from icub_simulators.objects.solids import (
     STABLE_TILT,
-    RestPose,
     center_of_mass,
     hull_volume,
     narrowest_width,
@@ -152,7 +151,7 @@ def _build(root: Path, name: str, size: tuple[float, float] | None, graspable: b
     elif size is not None:
         length = np.random.default_rng(_seed(name, "size")).uniform(*size)
         factor = length / float(np.ptp(np.concatenate(pieces), axis=0).max())
-    pieces = [factor * p for p in pieces]
+    pieces = [factor * p for p in without_specks(pieces)]
     resized = graspable or size is not None
     mass = max(DENSITY * sum(hull_volume(p) for p in pieces), LIGHTEST) if resized else MASS
     rng = np.random.default_rng(_seed(name, "look"))
@@ -165,5 +164,5 @@ def _build(root: Path, name: str, size: tuple[float, float] | None, graspable: b
         mass=mass,
         material=Material(texture=texture),
         friction=(0.5, 0.005, 0.0001),
-        rest=rest,
+        rest_poses=() if rest is None else (rest,),
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from icub_core.errors import DataError
 from icub_core.geometry import matrix_to_quat_wxyz
-from icub_core.scene import QuatWxyz
+from icub_core.scene import RestPose
 
 FloatArray = NDArray[np.float64]
 
@@ -21,14 +20,6 @@ STABLE_TILT = np.deg2rad(8.0)
 """A rest pose has to withstand being tilted by this much."""
 COPLANAR = 1e-3
 """Hull triangles whose unit normals differ by less belong to one facet."""
-
-
-@dataclass(frozen=True)
-class RestPose:
-    """How a body stands: T_world_object has this rotation, and the origin this height above the table."""
-
-    quat_wxyz: QuatWxyz
-    height: float
 
 
 def hull_volume(points: FloatArray) -> float:
