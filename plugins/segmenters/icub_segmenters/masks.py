@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import torch
 from torch.nn import functional
 
-from icub_core.errors import CheckpointError, NotFittedError
+from icub_core.errors import CheckpointError, DataError, NotFittedError
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.heads.falkon import Falkon
@@ -53,17 +53,21 @@ class OnlineMasks:
 
     def observe(
         self,
-        extractor: FeatureExtractor,
-        image: ImageFeatures,
+        features: torch.Tensor,
         boxes: torch.Tensor,
         masks: torch.Tensor,
         labels: torch.Tensor,
         generator: torch.Generator,
     ) -> None:
-        """Keep a share of the pixels of true boxes (n, 4) with masks (n, H, W) and classes (n,)."""
-        if len(boxes) == 0:
-            return
-        features = pixel_features(extractor, image, boxes)
+        """Keep a share of the pixels of true boxes.
+
+        Args:
+            features: (n, s, s, f) of the boxes' pixels, see `pixel_features`.
+            boxes: (n, 4).
+            masks: (n, H, W) bool.
+            labels: (n,) classes.
+            generator: Decides which pixels.
+        """
         inside = crop_masks(masks, boxes, features.shape[1]) >= 0.5
         for pixels, of_object, label in zip(features, inside, labels.tolist(), strict=True):
             kinds = self.samples.setdefault(label, [[], []])
@@ -155,8 +159,14 @@ class OnlineMasks:
 
 
 def pixel_features(extractor: FeatureExtractor, image: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
-    """Describe the cells of boxes (n, 4): (n, s, s, mask_dim) on the CPU, s at most GRID."""
+    """Describe the cells of boxes (n, 4): (n, s, s, mask_dim) on the CPU, s at most GRID.
+
+    Raises:
+        DataError: The extractor's features are not finite.
+    """
     features = extractor.mask_features(image, boxes).float().cpu()
+    if not bool(torch.isfinite(features).all()):
+        raise DataError("the features of a picture's pixels are not finite; expected numbers")
     if extractor.mask_size <= GRID:
         return features
     return functional.adaptive_avg_pool2d(features.permute(0, 3, 1, 2), GRID).permute(0, 2, 3, 1).contiguous()

@@ -27,7 +27,7 @@ from icub_segmenters.faithful_rpn import FaithfulRpn
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.lesson import Lesson, check_masks, stacked
 from icub_segmenters.mask_geometry import boxes_of_masks, paste_masks
-from icub_segmenters.masks import OnlineMasks, PretrainedMasks
+from icub_segmenters.masks import OnlineMasks, PretrainedMasks, pixel_features
 from icub_segmenters.minibootstrap import Minibootstrap
 from icub_segmenters.online_rpn import OnlineRpn
 from icub_segmenters.region_store import RegionStore
@@ -315,22 +315,21 @@ class OnlineSegmenter(Segmenter):
     def _take(self, lesson: Lesson, generator: torch.Generator) -> None:
         """Keep what a picture teaches, from one extraction of features."""
         image = self.extractor.extract(lesson.rgb)
+        cells = None if self.rpn is None else self._cells(image)
         self._keep_regions(image, lesson, generator)
-        self._keep_cells(image, lesson, generator)
+        if self.rpn is not None and cells is not None:
+            self.rpn.observe(cells, lesson.boxes, image.image_size, generator)
 
     def _keep_regions(self, image: ImageFeatures, lesson: Lesson, generator: torch.Generator) -> None:
-        """Keep regions and pixels of a picture."""
+        """Keep regions and pixels of a picture; nothing, if any of their features is not finite."""
         regions = describe(self.extractor, image, lesson.boxes, lesson.numbers, generator, lesson.strangers)
+        learns_pixels = self.asks_online and len(lesson.boxes) > 0
+        pixels = pixel_features(self.extractor, image, lesson.boxes) if learns_pixels else None
         self.store.append(regions)
-        if self.asks_online:
-            self.masks.observe(self.extractor, image, lesson.boxes, lesson.masks, lesson.numbers, generator)
+        if pixels is not None:
+            self.masks.observe(pixels, lesson.boxes, lesson.masks, lesson.numbers, generator)
         if int((self.store.near < 0).sum()) > SURPLUS * self.procedure.budget:
             thin_out(self.store, self.procedure.budget)
-
-    def _keep_cells(self, image: ImageFeatures, lesson: Lesson, generator: torch.Generator) -> None:
-        """Keep cells of a picture, when regions are proposed on-line."""
-        if self.rpn is not None:
-            self.rpn.observe(self._cells(image), lesson.boxes, image.image_size, generator)
 
     def _proposed(self, image: ImageFeatures) -> ImageFeatures:
         """Replace the proposals of an image by those of the on-line network, if there is one."""
@@ -343,6 +342,8 @@ class OnlineSegmenter(Segmenter):
         cells = self.extractor.rpn_cells(image)
         if cells is None:
             raise ConfigError("proposals='online' needs a feature extractor with a region proposal network")
+        if not bool(torch.isfinite(cells.features).all()):
+            raise DataError("the features of a picture's cells are not finite; expected numbers")
         return cells
 
     def _mask_values(self, image: ImageFeatures, found: Detections) -> torch.Tensor:

@@ -31,7 +31,7 @@ from icub_segmenters.feature_extractors.evaluation import detect
 from icub_segmenters.feature_extractors.network import CompactNetwork
 from icub_segmenters.feature_extractors.region_network import RegionExtractor
 from icub_segmenters.feature_extractors.weights import SHIPPED, read_safetensors
-from icub_segmenters.lesson import check_masks
+from icub_segmenters.frame_store import FrameStore
 from icub_segmenters.mask_geometry import boxes_of_masks
 
 FILE = "mask_rcnn.safetensors"
@@ -80,8 +80,7 @@ class MaskRcnn(Segmenter):
         self._statistics = statistics[0], statistics[1]  # centre and scale of the region features
         self.epochs, self.learning_rate, self.weight_decay = epochs, learning_rate, weight_decay
         self.shuffle, self.seed = shuffle, seed
-        self._frames: list[tuple[RgbdFrame, tuple[Instance, ...]]] = []
-        self._labels: list[str] = []
+        self._store = FrameStore()
         self._trained: tuple[str, ...] = ()
         self._network: CompactNetwork | None = None
         self._extractor: RegionExtractor | None = None
@@ -98,22 +97,17 @@ class MaskRcnn(Segmenter):
         Raises:
             DataError: A mask is empty or has another size than the image; nothing is kept of the frame.
         """
-        check_masks(frame, instances)
-        self._frames.append((frame, tuple(instances)))
-        for instance in instances:
-            if instance.label not in self._labels:
-                self._labels.append(instance.label)
+        self._store.add(frame, instances)
 
     def update(self) -> UpdateReport:
         """Fine-tune the pre-trained network, from the start, on all frames kept."""
-        if not self._labels:
-            raise NotFittedError("there is nothing to learn: observe at least one frame with an instance first")
+        counts = self._store.counts()
         start = time.perf_counter()
-        usable = [number for number, (_, instances) in enumerate(self._frames) if instances]
+        usable = [number for number, (_, instances) in enumerate(self._store.frames) if instances]
         generator = torch.Generator().manual_seed(self.seed)
         with torch.random.fork_rng(devices=[]), torch.enable_grad():
             torch.manual_seed(self.seed)
-            network = self._fresh(len(self._labels))
+            network = self._fresh(len(counts))
             optimizer = torch.optim.AdamW(
                 network.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay, fused=True
             )
@@ -133,10 +127,9 @@ class MaskRcnn(Segmenter):
                     optimizer.step()
                     schedule.step()
         network = network.eval().requires_grad_(False)
-        seen = [self._example(*self._frames[number])[0] for number in usable[:: -(-len(usable) // CALIBRATED)]]
-        self._adopt(network, tuple(self._labels), calibrate(network, seen))
+        seen = [self._example(*self._store.frames[number])[0] for number in usable[:: -(-len(usable) // CALIBRATED)]]
+        self._adopt(network, tuple(counts), calibrate(network, seen))
         seconds = time.perf_counter() - start
-        counts = {c: sum(i.label == c for _, instances in self._frames for i in instances) for c in self._trained}
         return UpdateReport(seconds, {"network": seconds}, self._trained, counts)
 
     def segment(self, frame: RgbdFrame) -> tuple[Instance, ...]:
@@ -170,7 +163,7 @@ class MaskRcnn(Segmenter):
         except (WeightsError, KeyError, ValueError, TypeError) as error:
             raise CheckpointError(f"{path} holds no fine-tuned network: {error}") from error
         self._adopt(network, tuple(labels), (statistics[0], statistics[1]))
-        self._labels, self._frames = labels, []
+        self._store = FrameStore(labels)
 
     def _fresh(self, classes: int) -> CompactNetwork:
         """Return the pre-trained network with a new classification layer, ready to train."""
@@ -191,7 +184,7 @@ class MaskRcnn(Segmenter):
         """Yield the frames of a batch at the network's working size, those of one size together."""
         sizes: dict[tuple[int, int], list[tuple[torch.Tensor, dict[str, torch.Tensor]]]] = {}
         for number in batch:
-            image, target = self._example(*self._frames[number])
+            image, target = self._example(*self._store.frames[number])
             sizes.setdefault((image.shape[1], image.shape[2]), []).append((image, target))
         for examples in sizes.values():
             yield torch.stack([image for image, _ in examples]), [target for _, target in examples]
@@ -206,7 +199,7 @@ class MaskRcnn(Segmenter):
             masks = [cv2.resize(m, (width, height), interpolation=cv2.INTER_NEAREST).astype(np.uint8) for m in masks]
         stacked = torch.from_numpy(np.stack(masks))
         visible = stacked.flatten(1).bool().any(dim=1)  # a few pixels may vanish
-        labels = torch.tensor([self._labels.index(i.label) + 1 for i in instances])
+        labels = torch.tensor([self._store.labels.index(i.label) + 1 for i in instances])
         boxes = boxes_of_masks(stacked.bool(), torch.zeros(len(stacked), 4))
         target = {"boxes": boxes[visible], "labels": labels[visible], "masks": stacked[visible]}
         return torch.from_numpy(np.array(rgb)).permute(2, 0, 1), target

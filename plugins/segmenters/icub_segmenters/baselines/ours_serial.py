@@ -99,5 +99,7 @@ class OursSerial(OnlineSegmenter):
         self._lessons = []
 
     def _take(self, lesson: Lesson, generator: torch.Generator) -> None:
-        self._keep_cells(self.extractor.extract(lesson.rgb), lesson, generator)
+        assert self.rpn is not None
+        image = self.extractor.extract(lesson.rgb)
+        self.rpn.observe(self._cells(image), lesson.boxes, image.image_size, generator)
         self._lessons.append(lesson)

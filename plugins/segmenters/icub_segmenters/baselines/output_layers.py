@@ -15,13 +15,13 @@ from torch.nn import functional
 from torchvision.ops import batched_nms
 
 from icub_core.data import Instance, RgbdFrame
-from icub_core.errors import CheckpointError, ConfigError, NotFittedError
+from icub_core.errors import CheckpointError, ConfigError, DataError, NotFittedError
 from icub_core.evaluation.overlap import boxes_of
 from icub_core.files import write_atomically
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 from icub_segmenters.boxes import decode, encode
-from icub_segmenters.lesson import check_masks
+from icub_segmenters.frame_store import FrameStore
 from icub_segmenters.mask_geometry import boxes_of_masks, crop_masks, paste_masks
 from icub_segmenters.regions import assign
 from icub_segmenters.sampling import sample
@@ -81,9 +81,8 @@ class OutputLayers(Segmenter):
         self.extractor = feature_extractor
         self.epochs, self.learning_rate, self.weight_decay = epochs, learning_rate, weight_decay
         self.store_features, self.shuffle, self.seed = store_features, shuffle, seed
-        self._frames: list[tuple[RgbdFrame, tuple[Instance, ...]]] = []
+        self._store = FrameStore()
         self._kept: list[ImageFeatures] = []
-        self._labels: list[str] = []
         self._trained: tuple[str, ...] = ()
         self._layers: _OutputLayers | None = None
 
@@ -98,36 +97,35 @@ class OutputLayers(Segmenter):
         Raises:
             DataError: A mask is empty or has another size than the image; nothing is kept of the frame.
         """
-        check_masks(frame, instances)
-        self._frames.append((frame, tuple(instances)))
+        self._store.add(frame, instances)
         if self.store_features:
             self._kept.append(self.extractor.extract(frame.rgb))
-        for instance in instances:
-            if instance.label not in self._labels:
-                self._labels.append(instance.label)
 
     def update(self) -> UpdateReport:
-        """Train the output layers from the start on all frames kept."""
-        if not self._labels:
-            raise NotFittedError("there is nothing to learn: observe at least one frame with an instance first")
+        """Train the output layers from the start on all frames kept.
+
+        Raises:
+            NotFittedError: No instance was ever observed.
+            DataError: The features of a frame are not finite; it is dropped, and what was learnt before stays.
+        """
+        counts = self._store.counts()
         start = time.perf_counter()
         generator = torch.Generator().manual_seed(self.seed)
         with torch.random.fork_rng(devices=[]), torch.enable_grad():
             torch.manual_seed(self.seed)
-            layers = _OutputLayers(self.extractor.region_dim, self.extractor.mask_dim, len(self._labels))
+            layers = _OutputLayers(self.extractor.region_dim, self.extractor.mask_dim, len(counts))
             optimizer = torch.optim.AdamW(
                 layers.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay, fused=True
             )
-            schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self.epochs * len(self._frames))
+            schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self.epochs * len(self._store))
             for _ in range(self.epochs):
-                order = torch.randperm(len(self._frames), generator=generator).tolist()
-                for number in order if self.shuffle else range(len(self._frames)):
+                order = torch.randperm(len(self._store), generator=generator).tolist()
+                for number in order if self.shuffle else range(len(self._store)):
                     optimizer.zero_grad()
                     self._loss(layers, number, generator).backward()
                     optimizer.step()
                     schedule.step()
-        self._layers, self._trained = layers.eval().requires_grad_(False), tuple(self._labels)
-        counts = {c: sum(i.label == c for _, instances in self._frames for i in instances) for c in self._trained}
+        self._layers, self._trained = layers.eval().requires_grad_(False), tuple(counts)
         seconds = time.perf_counter() - start
         return UpdateReport(seconds, {"output_layers": seconds}, self._trained, counts)
 
@@ -173,20 +171,23 @@ class OutputLayers(Segmenter):
         except (OSError, ValueError, KeyError, TypeError, RuntimeError, SafetensorError) as error:
             raise CheckpointError(f"{path} holds no output layers of this network: {error}") from error
         self._layers = layers.eval().requires_grad_(False)
-        self._labels, self._trained, self._frames, self._kept = labels, tuple(labels), [], []
+        self._store, self._trained, self._kept = FrameStore(labels), tuple(labels), []
 
     def _loss(self, layers: _OutputLayers, number: int, generator: torch.Generator) -> torch.Tensor:
         """Classification, box and mask loss of one frame."""
-        frame, instances = self._frames[number]
+        frame, instances = self._store.frames[number]
         image = self._kept[number] if self.store_features else self.extractor.extract(frame.rgb)
         truth = torch.from_numpy(boxes_of(instances)).float()
-        numbers = torch.tensor([self._labels.index(i.label) for i in instances], dtype=torch.int64)
+        numbers = torch.tensor([self._store.labels.index(i.label) for i in instances], dtype=torch.int64)
         boxes = torch.cat([truth, image.proposals])
         label, near, targets = assign(boxes, truth, numbers)
         positive = sample(torch.nonzero(label >= 0).flatten(), round(POSITIVE_SHARE * REGIONS), generator)
         negative = sample(torch.nonzero(near < 0).flatten(), REGIONS - len(positive), generator)
         chosen = torch.cat([positive, negative])
         X = self.extractor.region_features(image, boxes[chosen])
+        if not bool(torch.isfinite(X).all()):
+            self._forget(number)
+            raise DataError(f"the features of frame {number} are not finite; it is left out")
         loss = functional.cross_entropy(layers.scores(X), label[chosen] + 1)
         if len(positive) == 0:
             return loss
@@ -200,3 +201,8 @@ class OutputLayers(Segmenter):
         inside = crop_masks(masks, boxes[positive], self.extractor.mask_size).round()
         logits = layers.masks(self.extractor.mask_features(image, boxes[positive]))[rows, :, :, own]
         return loss + functional.binary_cross_entropy_with_logits(logits, inside)
+
+    def _forget(self, number: int) -> None:
+        self._store.forget(number)
+        if self.store_features:
+            del self._kept[number]
