@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from icub_core.errors import SimulationError
+from icub_core.geometry import make_transform
 from icub_core.interfaces.simulator import Fault
 from icub_core.scene import Scene
 from icub_simulators.mujoco.builder import build_spec, compile_model
@@ -120,6 +121,55 @@ def test_no_graphics_library_names_the_packages(loaded, monkeypatch):
     monkeypatch.setattr("icub_core.gl._library_exists", lambda backend: False)
     with pytest.raises(SimulationError, match="apt-get install"):
         loaded.render("head_cam")
+
+
+def test_a_state_of_a_world_in_another_order_is_refused(icub, ycb):
+    """Both have as many numbers; the objects' places are swapped."""
+    can, box = ycb.get("005_tomato_soup_can"), ycb.get("004_sugar_box")
+    first, second = Mujoco(), Mujoco()
+    first.load(icub.description, Scene(objects=(can, box)))
+    second.load(icub.description, Scene(objects=(box, can)))
+    with pytest.raises(SimulationError, match="another order"):
+        second.restore_state(first.save_state())
+    second.restore_state(second.save_state())
+
+
+def test_commands_out_of_range_act_like_the_limit(loaded):
+    start, far = loaded.save_state(), np.full(loaded.model.nu, 50.0)
+    loaded.set_targets(far)
+    loaded.step(40)
+    asked = loaded.joint_positions()
+    loaded.restore_state(start)
+    loaded.set_targets(np.minimum(far, loaded.model.actuator_ctrlrange[:, 1]))
+    loaded.step(40)
+    np.testing.assert_array_equal(asked, loaded.joint_positions())
+
+
+def test_the_solver_s_sparse_matrices_give_what_dense_ones_give(loaded, ycb, standing):
+    """Where many contacts share an object; one release of the engine factorises some sparse matrices wrongly."""
+    spec, model, data = ycb.get("004_sugar_box"), loaded.model, loaded.data
+    T = loaded.link_pose("r_hand_dh_frame")
+    loaded.set_object_pose(spec.name, T @ make_transform(None, [0.03, 0.0, 0.06]))
+    loaded.set_targets(model.actuator_ctrlrange[:, 1])
+    most = 0
+    for _ in range(40):
+        loaded.step(2)
+        warm, found = data.qacc_warmstart.copy(), []
+        for kind in (mujoco.mjtJacobian.mjJAC_DENSE, mujoco.mjtJacobian.mjJAC_SPARSE):
+            model.opt.jacobian = kind
+            data.qacc_warmstart[:] = warm
+            mujoco.mj_forward(model, data)
+            found.append(data.qacc.copy())
+        data.qacc_warmstart[:] = warm
+        most = max(most, data.ncon)
+        np.testing.assert_allclose(found[1], found[0], rtol=1e-6, atol=1e-6 * np.abs(found[0]).max())
+    assert most >= 3
+
+
+def test_objects_are_eliminated_last(loaded):
+    """The order that keeps the fingers on one object from filling the solver's matrix; see `build_spec`."""
+    robot, item = loaded._physics.index.qvel, loaded._physics.index.objects["004_sugar_box"].qvel
+    assert item.stop <= robot.start
 
 
 def test_warnings_are_not_written_beside_the_user(loaded, tmp_path, monkeypatch, capfd):

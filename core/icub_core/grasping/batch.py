@@ -31,6 +31,7 @@ from icub_core.grasping.spaces import (
 from icub_core.grasping.task import GraspTask, StartState, make_governor
 from icub_core.grasping.termination import EndReason, end_reasons
 from icub_core.grasping.tracking import HandTracker
+from icub_core.interfaces.simulator import Fault
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -92,7 +93,9 @@ class TaskBatch:
         self._plan[:, PLAN_FINGER_STEP] = self.layout.finger_step
         self._steps = np.zeros(worlds, dtype=np.int64)
         self._hand = np.tile(np.eye(4), (worlds, 1, 1))
+        self._lengths = np.zeros_like(self._command)
         self._fingers = np.zeros((worlds, NUMBER_OF_FINGER_ACTUATORS))
+        self._faults: list[tuple[Fault, ...]] = [()] * worlds
         self._touch = np.zeros((worlds, 5))
         self._object = np.zeros((worlds, 3))
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
@@ -112,6 +115,7 @@ class TaskBatch:
         self._steps[world] = 0
         self._governor.begin(world, start.command)
         self._read(world)
+        self._fingers[world] = self._lengths[world, self.layout.fingers]
         self._reward.begin(
             world,
             contacts=float(self._touch[world].sum()),
@@ -157,8 +161,9 @@ class TaskBatch:
             fallen=settings.fallen,
             max_steps=settings.max_steps,
         )
-        finite = np.isfinite(self._object.sum(axis=1) + self._hand.sum(axis=(1, 2)) + self._fingers.sum(axis=1))
-        fault = self.firewall.inspect(reasons, self._simulators, errors, bad, finite, active)
+        readings = (self._object, self._hand.reshape(len(self.tasks), 16), self._fingers)
+        finite = np.isfinite(sum(np.add.reduce(reading, axis=1) for reading in readings))
+        fault = self.firewall.inspect(reasons, self._faults, errors, bad, finite, active)
         success = reasons == EndReason.SUCCESS
         failure = (reasons == EndReason.MOVED) | (reasons == EndReason.TIME_LIMIT)
         reward = self._reward(contacts, self._distance(), self._object[:, 2].copy(), success, failure)
@@ -192,23 +197,26 @@ class TaskBatch:
             self._advance_share(shares[0])
         else:
             list(self._pool.map(self._advance_share, shares))
+        self._lengths.take(self.layout.fingers, axis=1, out=self._fingers)
 
     def _advance_share(self, share: Sequence[int]) -> None:
+        # a loop for each task: physics throws the interpreter out of the processor's caches
         for world in share:
-            simulator = self._simulators[world]
-            simulator.set_targets(self._command[world])
-            simulator.step(self._substeps)
+            self._simulators[world].set_targets(self._command[world])
+        self._simulate(share)
+        for world in share:
             self._read(world)
+
+    def _simulate(self, worlds: Sequence[int]) -> None:
+        for world in worlds:
+            self._simulators[world].step(self._substeps)
 
     def _read(self, world: int) -> None:
         layout = self.layout
-        T_hand, lengths, touch, position = self._simulators[world].hand_and_object(
-            layout.frame, layout.side, self._objects[world]
-        )
-        self._hand[world] = T_hand
-        self._fingers[world] = lengths[layout.fingers]
-        self._touch[world] = touch
-        self._object[world] = position
+        simulator = self._simulators[world]
+        readings = simulator.hand_and_object(layout.frame, layout.side, self._objects[world])
+        self._hand[world], self._lengths[world], self._touch[world], self._object[world] = readings
+        self._faults[world] = simulator.faults()
 
     def _distance(self) -> FloatArray:
         """(N,) distance of the estimated centre from the hand's z axis, metres."""

@@ -17,6 +17,9 @@ from icub_core.grasping.task import GraspTask, StartState
 from icub_core.grasping.termination import EndReason
 from icub_core.grasping.visual import VisualEncoder, VisualStack
 
+FLAGS = ("success", "fault", "done", "terminated", "truncated")
+"""Entries (N, 1) bool that a step gives."""
+
 
 class GraspEnv(EnvBase):
     """Batch of N grasping worlds (thesis 12.3.1 as an MDP).
@@ -101,8 +104,7 @@ class GraspEnv(EnvBase):
         entries: dict[str, torch.Tensor] = {k: torch.from_numpy(v) for k, v in self.batch.observation().items()}
         if self._visual is not None:
             entries[VISUAL] = self._visual.stacked()
-        for flag in ("success", "fault", "done", "terminated", "truncated"):
-            entries[flag] = torch.zeros((n, 1), dtype=torch.bool)
+        entries.update(zip(FLAGS, torch.zeros((len(FLAGS), n, 1), dtype=torch.bool).unbind(), strict=True))
         entries["reason"] = torch.zeros((n, 1), dtype=torch.int64)
         return TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
 
@@ -124,14 +126,8 @@ class GraspEnv(EnvBase):
             entries[VISUAL] = self._visual.stacked()
         entries["reward"] = torch.from_numpy(result.reward.astype(np.float32)[:, None])
         entries["reason"] = torch.from_numpy(reason[:, None])
-        for name, flag in (
-            ("success", reason == EndReason.SUCCESS),
-            ("fault", result.fault),
-            ("done", done),
-            ("terminated", terminated),
-            ("truncated", done & ~terminated),
-        ):
-            entries[name] = torch.from_numpy(flag[:, None])
+        flags = np.stack([reason == EndReason.SUCCESS, result.fault, done, terminated, done & ~terminated])
+        entries.update(zip(FLAGS, torch.from_numpy(flags[:, :, None]).unbind(), strict=True))
         return TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
 
     def save(self) -> tuple[dict[str, np.ndarray], dict[str, str]]:

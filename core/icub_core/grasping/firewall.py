@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.grasping.termination import FIRST_FAULT, OF_SIMULATOR, EndReason
-from icub_core.interfaces.simulator import Simulator
+from icub_core.interfaces.simulator import Fault
 
 POSITION_LAG = 0.03
 """Metres between the wanted and the solved hand position at which inverse kinematics has failed (released code)."""
@@ -30,7 +30,7 @@ class Firewall:
     def inspect(
         self,
         reasons: NDArray[np.int64],
-        simulators: list[Simulator],
+        faults: Sequence[Sequence[Fault]],
         tracking_errors: NDArray[np.float64],
         bad_actions: NDArray[np.bool_],
         readings_finite: NDArray[np.bool_],
@@ -40,7 +40,7 @@ class Firewall:
 
         Args:
             reasons: End reasons of a fault-free world.
-            simulators: N worlds, asked for their faults.
+            faults: Of N worlds, what their simulators reported.
             tracking_errors: (N, 2) position and orientation that inverse kinematics left, m and rad.
             bad_actions: (N,) the policy's action was not finite.
             readings_finite: (N,) everything that was measured is finite.
@@ -53,10 +53,9 @@ class Firewall:
         reasons[lagging] = EndReason.IK_FAILURE
         reasons[bad_actions] = EndReason.ACTION_NOT_FINITE
         reasons[~readings_finite] = EndReason.NOT_A_NUMBER
-        for i, simulator in enumerate(simulators):
-            faults = simulator.faults()
-            if faults:
-                reasons[i] = OF_SIMULATOR[faults[0]]
+        for i, found in enumerate(faults):
+            if found:
+                reasons[i] = OF_SIMULATOR[found[0]]
         ended = reasons != EndReason.RUNNING
         if active is not None:
             ended = ended & np.asarray(active)

@@ -67,12 +67,12 @@ class SafetyGovernor:
         """Return actions within [-1, 1] and the streams whose action was not finite (their action becomes 0)."""
         finite = np.isfinite(actions)
         if finite.all():
-            return np.clip(actions, -1.0, 1.0), np.zeros(len(actions), dtype=np.bool_)
+            return np.minimum(np.maximum(actions, -1.0), 1.0), np.zeros(len(actions), dtype=np.bool_)
         return np.clip(np.where(finite, actions, 0.0), -1.0, 1.0), np.logical_not(finite.all(axis=1))
 
     def limit_position(self, position: FloatArray) -> FloatArray:
         """Clip wanted hand positions (N, 3), metres, to the workspace."""
-        return np.clip(position, self._workspace[0], self._workspace[1])
+        return np.minimum(np.maximum(position, self._workspace[0]), self._workspace[1])
 
     def limit(self, commands: FloatArray) -> FloatArray:
         """Return the commands (N, m) that may be sent now, given the wanted ones (N, m), rad; the caller owns them."""

@@ -38,10 +38,10 @@ class HandTracker:
         """
         worlds, frame = len(q), self._frame
         T = np.empty((worlds, 4, 4))
-        J = np.empty((worlds, 6, len(self._joints)))
+        jacobians = np.empty((worlds, 6, q.shape[1]))
         for i in range(worlds):
-            T[i], jacobian = self._robot.pose_and_jacobian(q[i], frame)
-            J[i] = jacobian[:, self._joints]
+            T[i], jacobians[i] = self._robot.pose_and_jacobian(q[i], frame)
+        J = jacobians.take(self._joints, axis=2)
         error = np.empty((worlds, 6))
         error[:, :3] = targets[:, :3] - T[:, :3, 3]
         error[:, 3:] = small_rotation(euler_to_matrix(targets[:, 3:]) @ np.swapaxes(T[:, :3, :3], 1, 2))
@@ -56,18 +56,33 @@ class HandTracker:
         step = _damped_step(J, error)
         low, high = self._lower - start, self._upper - start
         outside = (step < low - LIMIT_MARGIN) | (step > high + LIMIT_MARGIN)
+        stopped = np.flatnonzero(outside.any(axis=1))
+        if len(stopped):  # in some of many worlds at any time: only those are solved again
+            step[stopped] = _limited_step(
+                J[stopped], error[stopped], step[stopped], low[stopped], high[stopped], outside[stopped]
+            )
+        return step
+
+
+def _limited_step(
+    J: FloatArray,
+    error: FloatArray,
+    step: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    outside: NDArray[np.bool_],
+) -> FloatArray:
+    """Move the joints that pass a limit to it and solve for the others, until none passes."""
+    fixed = np.zeros_like(outside)
+    for _ in range(MAX_ACTIVE_SET_ROUNDS):
+        fixed |= outside
+        clipped = np.where(fixed, np.minimum(np.maximum(step, low), high), 0.0)
+        rest = error - (J @ clipped[:, :, None])[:, :, 0]
+        step = np.where(fixed, clipped, _damped_step(J * ~fixed[:, None, :], rest))
+        outside = ~fixed & ((step < low - LIMIT_MARGIN) | (step > high + LIMIT_MARGIN))
         if not outside.any():
-            return step
-        fixed = np.zeros_like(outside)
-        for _ in range(MAX_ACTIVE_SET_ROUNDS):
-            fixed |= outside
-            clipped = np.where(fixed, np.clip(step, low, high), 0.0)
-            rest = error - (J @ clipped[:, :, None])[:, :, 0]
-            step = np.where(fixed, clipped, _damped_step(J * ~fixed[:, None, :], rest))
-            outside = ~fixed & ((step < low - LIMIT_MARGIN) | (step > high + LIMIT_MARGIN))
-            if not outside.any():
-                break
-        return np.clip(step, low, high)
+            break
+    return np.minimum(np.maximum(step, low), high)
 
 
 def _damped_step(J: FloatArray, error: FloatArray) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import zlib
 
 import mujoco
 import numpy as np
@@ -33,6 +34,8 @@ _RESET_WARNINGS = [int(w) for w in (_WARNING.mjWARN_BADQPOS, _WARNING.mjWARN_BAD
 _CONTROL_WARNING = int(_WARNING.mjWARN_BADCTRL)
 _FULL_WARNINGS = [int(w) for w in (_WARNING.mjWARN_CONTACTFULL, _WARNING.mjWARN_CNSTRFULL)]
 _OBJECT, _OTHER = 10, 30  # fingers are 0..4: finger + object 10..14, two objects 20, anything else 30 and more
+_TOUCHES = [np.array([bool(bits >> finger & 1) for finger in range(5)]) for bits in range(32)]
+"""Fingertips in contact by a number with one bit for each."""
 
 
 class Physics:
@@ -49,19 +52,20 @@ class Physics:
         self.data = mujoco.MjData(self.model)
         self.index = build_index(self.model, frames, robot, scene)
         self.parked = np.ones(len(scene.objects), dtype=bool)
+        self._state_size = mujoco.mj_stateSize(self.model, _STATE)
+        self._mark = float(zlib.crc32(self.model.names))  # of what stands where in a state
         index = self.index
         self._number = {item.name: i for i, item in enumerate(scene.objects)}
         self._is_object = index.object_of_geom >= 0
         self._A, self._b = index.lengths
-        self._low, self._high = self.model.actuator_ctrlrange.T.copy()
         # views: MjData never moves its arrays
         self._q = self.data.qpos[index.qpos] if isinstance(index.qpos, slice) else None
         self._dq = self.data.qvel[index.qvel] if isinstance(index.qvel, slice) else None
-        self._ctrl, self._qvel = self.data.ctrl, self.data.qvel
+        self._ctrl, self._qvel, self._lengths = self.data.ctrl, self.data.qvel, self.data.actuator_length
         self._positions, self._rotations = self.data.xpos, self.data.xmat.reshape(-1, 3, 3)
         self._ones = np.ones(self.model.nu)
         self._frame = np.eye(4)
-        self._places: dict[tuple[str, str, str], tuple[LinkSlot, int]] = {}
+        self._places: dict[tuple[str, str, str], tuple[LinkSlot, list[int], FloatArray]] = {}
         self._no_warnings = bytes(self.data.warning.number.nbytes)
         self._slow = float(index.velocity_limits.min(initial=np.inf)) ** 2
         self._tip_codes = {hand: self._contact_codes(tips) for hand, tips in index.fingertip_of_geom.items()}
@@ -110,8 +114,9 @@ class Physics:
 
     def actuator_positions(self) -> FloatArray:
         """Return the actuators' lengths (m,), rad."""
-        q = self.data.qpos[self.index.qpos] if self._q is None else self._q
-        return self._A.dot(q) + self._b
+        if self._stale:
+            return self._A @ self.joint_positions() + self._b
+        return self._lengths + self._b
 
     def robot_state(self, contacts: NDArray[np.bool_]) -> RobotState:
         """Bundle what the robot measures with the given fingertip contacts."""
@@ -128,25 +133,24 @@ class Physics:
         self.data.qpos[self.index.qpos] = q
         self.data.qvel[self.index.qvel] = 0.0
         self.data.qacc_warmstart[:] = 0.0
-        self.data.ctrl[:] = np.clip(self._A @ q + self._b, self._low, self._high)
+        self._ctrl[:] = self._A @ q + self._b
         self._stale = True
 
     def set_targets(self, targets: FloatArray) -> None:
-        """Command every actuator; a command that is not finite is a fault and changes nothing."""
+        """Command every actuator; a command that is not finite is a fault and changes nothing.
+
+        The engine itself keeps forces to what the actuators' ranges allow.
+        """
         targets = np.asarray(targets, dtype=np.float64)
-        if targets.shape != self._low.shape:
+        if targets.shape != self._ctrl.shape:
             raise SimulationError(
-                f"command has shape {targets.shape}; expected {self._low.shape}, one length an actuator"
+                f"command has shape {targets.shape}; expected {self._ctrl.shape}, one length an actuator"
             )
         # a sum is finite only if every command is; faster than isfinite().all()
         if not math.isfinite(self._ones.dot(targets)):
             self._seen.add(Fault.NOT_A_NUMBER)
             return
-        np.minimum(np.maximum(targets, self._low, out=self._ctrl), self._high, out=self._ctrl)
-
-    def targets(self) -> FloatArray:
-        """Return the present commands (m,), rad."""
-        return self.data.ctrl.copy()
+        self._ctrl[:] = targets
 
     def link_pose(self, link: str) -> FloatArray:
         """Return T_world_link (4, 4)."""
@@ -202,30 +206,38 @@ class Physics:
             raise ConfigError(unknown_name("hand with fingertips", hand, self._tip_codes))
         if self._stale:
             self._refresh()
-        touched = [False] * 5
+        return self._touched(codes).copy()
+
+    def _touched(self, codes: list[int]) -> NDArray[np.bool_]:
+        bits = 0
         if self.data.ncon:
             for first, second in self.data.contact.geom.tolist():  # a few contacts: faster than five array operations
                 finger = codes[first] + codes[second] - _OBJECT
                 if 0 <= finger < 5:
-                    touched[finger] = True
-        return np.array(touched)
+                    bits |= 1 << finger
+        return _TOUCHES[bits]
 
     def hand_and_object(
         self, frame: str, hand: str, name: str
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], FloatArray]:
-        """Return T_world_frame (4, 4), actuator lengths (m,), fingertip contacts (5,), object position (3,)."""
+        """Return T_world_frame (4, 4), actuator lengths (m,), fingertip contacts (5,), object position (3,).
+
+        The caller copies what it keeps: these are buffers and views.
+        """
         places = self._places.get((frame, hand, name))
         if places is None:
             self.link_pose(frame), self.fingertip_contacts(hand)  # refuse unknown names once
-            places = self._places[frame, hand, name] = (self.index.links[frame], self.slots(name).body)
-        link, thing = places
+            codes, thing = self._tip_codes[hand], self.slots(name).body
+            places = self._places[frame, hand, name] = (self.index.links[frame], codes, self._positions[thing])
+        link, codes, position = places
         if self._stale:
             self._refresh()
         T = self._frame
         T[:3, :3] = self._rotations[link.body]
         T[:3, 3] = self._positions[link.body]
-        T = T.copy() if link.offset is None else T.dot(link.offset)
-        return T, self.actuator_positions(), self.fingertip_contacts(hand), self._positions[thing]
+        if link.offset is not None:
+            T = T.dot(link.offset)
+        return T, self._lengths + self._b, self._touched(codes), position
 
     def _contact_codes(self, fingertip_of_geom: NDArray[np.int8]) -> list[int]:
         """Number geoms such that only the sum of finger f and an object is `_OBJECT` + f."""
@@ -249,22 +261,25 @@ class Physics:
         return bool(np.any(other[:, 0] & robot[:, 1]) or np.any(other[:, 1] & robot[:, 0]))
 
     def save(self) -> FloatArray:
-        """Return everything that decides the future as one vector."""
-        size = mujoco.mj_stateSize(self.model, _STATE)
-        state = np.empty(size + len(self.parked))
+        """Return everything that decides the future as one vector: the engine's, what is parked, the world's mark."""
+        size = self._state_size
+        state = np.empty(size + len(self.parked) + 1)
         mujoco.mj_getState(self.model, self.data, state[:size], _STATE)
-        state[size:] = self.parked
+        state[size:-1] = self.parked
+        state[-1] = self._mark
         return state
 
     def restore(self, state: FloatArray) -> None:
         """Continue from `save`; raises SimulationError for a vector of another world."""
-        size = mujoco.mj_stateSize(self.model, _STATE)
+        size = self._state_size
         state = np.ascontiguousarray(state, dtype=np.float64)
-        if state.shape != (size + len(self.parked),):
-            raise SimulationError(f"state has shape {state.shape}; this world's has ({size + len(self.parked)},)")
+        if state.shape != (size + len(self.parked) + 1,):
+            raise SimulationError(f"state has shape {state.shape}; this world's has ({size + len(self.parked) + 1},)")
+        if state[-1] != self._mark:
+            raise SimulationError("the state is that of a world with other joints or objects, or in another order")
         mujoco.mj_resetData(self.model, self.data)  # also forgets the warnings
         mujoco.mj_setState(self.model, self.data, state[:size], _STATE)
-        self.parked[:] = state[size:] > 0.5
+        self.parked[:] = state[size:-1] > 0.5
         self._seen.clear()
         self._clock = self.data.time
         self._stale = True
