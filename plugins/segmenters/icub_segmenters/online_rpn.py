@@ -15,10 +15,11 @@ from torchvision.ops import nms
 from icub_core.errors import CheckpointError, NotFittedError
 from icub_core.interfaces.feature_extractor import RpnCells
 from icub_core.interfaces.online_head import OnlineHead
-from icub_segmenters.boxes import decode, encode
+from icub_segmenters.boxes import clip, decode, encode
 from icub_segmenters.heads.rls import Rls
 from icub_segmenters.minibootstrap import MakeHead, Minibootstrap
 from icub_segmenters.normalization import Normalization
+from icub_segmenters.sampling import sample_per_group
 
 BEFORE_NMS, NMS_IOU = 1000, 0.7
 NO_CLASSIFIER = float("-inf")
@@ -192,3 +193,11 @@ class OnlineRpn(ABC):
         """Return the cells of anchors with flat numbers (n,), cell x anchors a cell + anchor."""
         features = cells.features[chosen // cells.anchors.shape[1]]  # indexing copies: the maps can be forgotten
         return Rows(features, cells.types.flatten()[chosen], torch.full((len(chosen),), self.images), values)
+
+
+def some_anchors(cells: RpnCells, count: int, size: tuple[int, int], generator: torch.Generator) -> torch.Tensor:
+    """Draw about `count` anchors (n, 4), evenly over the types, and cut them to an image of (height, width)."""
+    types = cells.types.flatten()
+    each = -(-count // len(types.unique()))
+    chosen = sample_per_group(torch.arange(len(types)), types, each, generator)
+    return clip(cells.anchors.reshape(-1, 4)[chosen], size)

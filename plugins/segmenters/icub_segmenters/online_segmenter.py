@@ -29,7 +29,7 @@ from icub_segmenters.lesson import Lesson, check_masks, stacked
 from icub_segmenters.mask_geometry import boxes_of_masks, paste_masks
 from icub_segmenters.masks import OnlineMasks, PretrainedMasks, pixel_features
 from icub_segmenters.minibootstrap import Minibootstrap
-from icub_segmenters.online_rpn import OnlineRpn
+from icub_segmenters.online_rpn import OnlineRpn, some_anchors
 from icub_segmenters.region_store import RegionStore
 from icub_segmenters.regions import describe
 from icub_segmenters.sampling import thin_out
@@ -48,6 +48,9 @@ SURPLUS = 1.5
 """Negatives in the store may outgrow the budget by this factor before old images are thinned out."""
 SMALLEST_MASK = 20
 """Pixels; what is smaller than this is no finding."""
+ANCHORS_DESCRIBED = 100
+"""Anchors that join the pre-trained network's proposals as regions to learn from, where regions are proposed on-line:
+without them the detector has never seen most of what is proposed to it, and takes some of it for objects."""
 BANK_PICTURES = 0
 """Clutter pictures that are learnt from as they are, before the first lesson: a bank of negatives."""
 
@@ -315,10 +318,14 @@ class OnlineSegmenter(Segmenter):
     def _take(self, lesson: Lesson, generator: torch.Generator) -> None:
         """Keep what a picture teaches, from one extraction of features."""
         image = self.extractor.extract(lesson.rgb)
-        cells = None if self.rpn is None else self._cells(image)
-        self._keep_regions(image, lesson, generator)
-        if self.rpn is not None and cells is not None:
-            self.rpn.observe(cells, lesson.boxes, image.image_size, generator)
+        if self.rpn is None:
+            self._keep_regions(image, lesson, generator)
+            return
+        cells = self._cells(image)
+        # what is proposed later does not look like the pre-trained network's proposals: anchors stand for it
+        anchors = some_anchors(cells, ANCHORS_DESCRIBED, image.image_size, generator)
+        self._keep_regions(replace(image, proposals=torch.cat([image.proposals.cpu(), anchors])), lesson, generator)
+        self.rpn.observe(cells, lesson.boxes, image.image_size, generator)
 
     def _keep_regions(self, image: ImageFeatures, lesson: Lesson, generator: torch.Generator) -> None:
         """Keep regions and pixels of a picture; nothing, if any of their features is not finite."""
