@@ -136,16 +136,22 @@ def spread_rotations(count: int) -> FloatArray:
     )
 
 
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross product of two vectors (3,): `np.cross` takes twenty times as long."""
+    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> FloatArray:
     """Return T_world_camera (camera z forward, y down) of a camera at `eye` whose axis meets `target`."""
     eye = np.asarray(eye, dtype=np.float64)
     forward = np.asarray(target, dtype=np.float64) - eye
     forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, np.asarray(up, dtype=np.float64))
+    right = _cross(forward, np.asarray(up, dtype=np.float64))
     if np.linalg.norm(right) < 1e-9:  # looking along `up`: any right-hand side will do
-        right = np.cross(forward, [1.0, 0.0, 0.0])
+        right = _cross(forward, np.array([1.0, 0.0, 0.0]))
     right /= np.linalg.norm(right)
-    return make_transform(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
+    return make_transform(np.array([right, _cross(forward, right), forward]).T, eye)
 
 
 def pinhole(width: int, height: int, fovy: float) -> FloatArray:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from icub_core.errors import SimulationError
-from icub_core.geometry import make_transform
+from icub_core.geometry import look_at, make_transform
 from icub_core.interfaces.simulator import Fault
-from icub_core.scene import Scene
+from icub_core.scene import CameraView, Scene
 from icub_simulators.mujoco.builder import build_spec, compile_model
 from icub_simulators.mujoco.simulator import Mujoco
 
@@ -201,3 +201,20 @@ def test_gravity_pulls_a_robot_that_does_not_compensate_it(icub, ycb):
     static = sum(links.body_mass[i] for i in range(links.nbody) if links.body_weldid[i] == 0)
     assert weights.sum() == pytest.approx(links.body_mass.sum() - static)
     simulator.close()
+
+
+def test_table_legs_are_left_out_only_where_the_top_hides_them(loaded):
+    rng = np.random.default_rng(0)
+    renderer, center = loaded._open_renderer(), np.array([-0.68, 0.0, 0.6])
+    legs, left_out = renderer._legs, 0
+    for k in range(60):  # from below the top, beside and above it
+        eye = center + [rng.uniform(-2.0, 2.0), rng.uniform(-2.0, 2.0), rng.uniform(-0.2, 2.0)]
+        view = CameraView(look_at(eye, center + rng.uniform(-0.4, 0.4, 3)), fovy=1.2)
+        picture = loaded.render(view, 160, 120).frame
+        left_out += int(np.sum(renderer.model.geom_group[legs] == 5))
+        renderer._legs = legs[:0]
+        whole = loaded.render(view, 160, 120).frame
+        renderer._legs = legs
+        np.testing.assert_array_equal(picture.rgb, whole.rgb, err_msg=f"picture {k}")
+        np.testing.assert_array_equal(picture.depth, whole.depth, err_msg=f"picture {k}")
+    assert 20 < left_out < 200

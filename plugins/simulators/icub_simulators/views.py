@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +39,13 @@ def place_camera(
         if camera not in named:
             raise ConfigError(unknown_name("camera", camera, named))
         mounted = named[camera]
-        T_link_camera = make_transform(quat_wxyz_to_matrix(mounted.quat_wxyz), mounted.position)
-        T, fovy = link_pose(mounted.link) @ T_link_camera, mounted.fovy
+        T, fovy = link_pose(mounted.link) @ _on_link(mounted), mounted.fovy
     if target is not None:
         T = look_at(T[:3, 3], target)
     return CameraView(T, fovy)
+
+
+@cache
+def _on_link(camera: RobotCamera) -> FloatArray:
+    """Return T_link_camera (4, 4)."""
+    return make_transform(quat_wxyz_to_matrix(camera.quat_wxyz), camera.position)

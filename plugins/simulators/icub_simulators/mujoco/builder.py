@@ -18,6 +18,7 @@ from icub_simulators.mujoco.robot_spec import HIDDEN_GROUP, robot_spec
 OBJECT_PREFIX = "object/"
 """Bodies of objects are named so, lest one is called like a link."""
 TABLE_BODY = "furniture/table"
+_LEG = f"{TABLE_BODY}/leg"
 FLOOR_GEOM = "furniture/floor"
 
 OBJECT_SOLREF = (0.01, 1.0)
@@ -146,13 +147,18 @@ def _add_table(spec: mujoco.MjSpec, table: Table, visual: bool) -> None:
         for y in (-1, 1):
             corner = np.array([x * (table.half_size[0] - 0.08), y * (table.half_size[1] - 0.08)])
             body.add_geom(
-                name=f"{TABLE_BODY}/leg{x:+d}{y:+d}",
+                name=f"{_LEG}{x:+d}{y:+d}",
                 type=mujoco.mjtGeom.mjGEOM_CYLINDER,
                 size=[0.04, length, 0.0],
                 pos=[*corner, -table.half_size[2] - length],
                 contype=0,
                 conaffinity=0,
             )
+
+
+def table_legs(model: mujoco.MjModel) -> NDArray[np.intp]:
+    """Return the numbers of the shapes that are the table's legs: upright cylinders, which are only drawn."""
+    return np.array([i for i in range(model.ngeom) if model.geom(i).name.startswith(_LEG)], dtype=np.intp)
 
 
 def _add_object(

@@ -14,8 +14,8 @@ from icub_core.geometry import pinhole
 from icub_core.gl import make_context
 from icub_core.interfaces.simulator import Rendering
 from icub_core.robot_description import RobotDescription
-from icub_core.scene import CameraView, Light, Material, Scene
-from icub_simulators.mujoco.builder import OBJECT_PREFIX, build_spec, compile_model
+from icub_core.scene import CameraView, Light, Material, Scene, Table
+from icub_simulators.mujoco.builder import OBJECT_PREFIX, build_spec, compile_model, table_legs
 from icub_simulators.mujoco.looks import (
     BACKDROP,
     FLOOR,
@@ -35,7 +35,8 @@ _Frustum = tuple[FloatArray, FloatArray]
 _PARKED_GROUP = 5
 _SHOWN_GROUPS = (0, 1, 2)
 _MOST_GEOMS = 4000
-_FIRST_BUFFER = (640, 480)
+_SMALLEST_BUFFER = (64, 64)
+"""Pixels that graphics memory is reserved for at first; it grows with the pictures, and a larger one is slower."""
 _LARGEST_SIDE = 8192
 PLAIN, PRETTY = False, True
 """Two ways of drawing: without shadows and smoothing (fast), with both."""
@@ -51,7 +52,6 @@ class Renderer:
         self._gl: Any = make_context()
         spec = build_spec(robot, scene, visual=True)
         dress(spec, scene)
-        spec.visual.global_.offwidth, spec.visual.global_.offheight = _FIRST_BUFFER
         self.model = compile_model(spec)
         self._data = mujoco.MjData(self.model)
         self._scene = mujoco.MjvScene(self.model, maxgeom=_MOST_GEOMS)
@@ -62,7 +62,7 @@ class Renderer:
         self._options.flags[int(mujoco.mjtVisFlag.mjVIS_TEXTURE)] = 1
         self._options.flags[int(mujoco.mjtVisFlag.mjVIS_STATIC)] = 1
         self._contexts: dict[bool, mujoco.MjrContext] = {}
-        self._buffer = _FIRST_BUFFER
+        self._buffer = _SMALLEST_BUFFER
         self._group = self.model.geom_group.copy()
         self._radius = np.where(self.model.geom_rbound > 0, self.model.geom_rbound, np.inf)  # planes end nowhere
         bodies = [self.model.body(OBJECT_PREFIX + item.name).id for item in scene.objects]
@@ -72,6 +72,8 @@ class Renderer:
             self._object_of_geom[geoms] = number
         self._flat_backdrop = _flat_color(scene.backdrop)
         self._center = np.array([-0.4, 0.0, scene.table.top if scene.table is not None else 0.0])
+        self._table = scene.table
+        self._legs = table_legs(self.model)
         fill_textures(self.model, scene)
         set_lights(self.model, scene.lights, self._center)
 
@@ -84,7 +86,7 @@ class Renderer:
             raise SimulationError(
                 f"a picture of {width} x {height} was asked for; expected 1 to {_LARGEST_SIDE} a side"
             )
-        self._pose(qpos, parked, None if shadows else _frustum(view, width / height))
+        self._pose(qpos, parked, None if shadows else view, width / height)
         self._aim(view, width, height)
         rgb, depth = self._draw(PRETTY if shadows else PLAIN, width, height, ids=False)
         objects = None
@@ -132,8 +134,8 @@ class Renderer:
         self._gl.free()
         self._gl = None
 
-    def _pose(self, qpos: FloatArray, parked: NDArray[np.bool_], frustum: _Frustum | None) -> None:
-        """Bring the drawn scene up to date; with a frustum, leave out what the camera cannot see.
+    def _pose(self, qpos: FloatArray, parked: NDArray[np.bool_], view: CameraView | None, aspect: float) -> None:
+        """Bring the drawn scene up to date; with a view, leave out what it cannot show.
 
         Without shadows nothing outside of the picture can change it, and most of the robot is behind its own camera.
         """
@@ -144,13 +146,26 @@ class Renderer:
         group[:] = self._group
         for number in np.nonzero(parked)[0]:
             group[self._geoms_of[number]] = _PARKED_GROUP
-        if frustum is not None:
-            normals, offsets = frustum
+        if view is not None:
+            normals, offsets = _frustum(view, aspect)
             beyond = self._data.geom_xpos @ normals.T - offsets > self._radius[:, None]  # (ngeom, 4)
             group[beyond.any(axis=1)] = _PARKED_GROUP
+            if self._table is not None and len(self._legs):
+                group[self._legs[self._behind_top(view.T_world_camera[:3, 3], self._table)]] = _PARKED_GROUP
         mujoco.mjv_updateScene(
             self.model, self._data, self._options, None, self._camera, int(mujoco.mjtCatBit.mjCAT_ALL), self._scene
         )
+
+    def _behind_top(self, eye: FloatArray, table: Table) -> NDArray[np.bool_]:
+        """Say which legs (L,) the table's top hides from an eye (3,) above it: those whose feet it hides."""
+        height = eye[2] - table.top
+        if height <= 0:
+            return np.zeros(len(self._legs), dtype=np.bool_)
+        radius, half_length = self.model.geom_size[self._legs, :2].T
+        feet = self._data.geom_xpos[self._legs]
+        share = height / (eye[2] - feet[:, 2] + half_length)  # of the way from eye to foot, at the top
+        crossing = eye[:2] + (feet[:, :2] - eye[:2]) * share[:, None] - table.center[:2]
+        return np.asarray(np.all(np.abs(crossing) + radius[:, None] < table.half_size[:2], axis=1))
 
     def _aim(self, view: CameraView, width: int, height: int) -> None:
         """Overwrite the drawing camera (both eyes) by the wanted one."""
