@@ -1,5 +1,8 @@
 """The shipped feature extractor: quality on the FEATURE-TASK, proposals on new objects, time a frame.
 
+Proposals on new objects are measured twice: the extractor's own, and those of on-line region proposal networks (one for
+all anchor types of a cell, and Algorithm 2 with one an anchor type), which are taught frames of these objects.
+
     icub benchmark features
     icub benchmark features --frames 300 --new-frames 200
 
@@ -14,19 +17,28 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from rich.progress import Progress
 
 from icub_core.evaluation.results import Figure, write_results
+from icub_core.interfaces.dataset import Dataset
+from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.registry import load
+from icub_segmenters.faithful_rpn import FaithfulRpn
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
 from icub_segmenters.feature_extractors.evaluation import feature_task_precision, proposal_recall
+from icub_segmenters.minibootstrap import Minibootstrap
+from icub_segmenters.online_rpn import OnlineRpn
+from icub_segmenters.shared_rpn import SharedRpn
 
 RESULTS = Path(__file__).resolve().parent / "results" / "features.json"
 NEW_OBJECTS = "rendered_tabletop"
+WAYS: dict[str, type[OnlineRpn]] = {"online_rpn": SharedRpn, "online_rpn_faithful": FaithfulRpn}
 
 
 def milliseconds(call: Callable[[], object], repetitions: int) -> Figure:
@@ -41,12 +53,61 @@ def milliseconds(call: Callable[[], object], repetitions: int) -> Figure:
     return Figure(statistics.median(times), "ms", (high - low) / 2, repetitions)
 
 
+class WithProposals(FeatureExtractor):
+    """Another extractor, whose proposals are those of an on-line network."""
+
+    def __init__(self, whole: FeatureExtractor, rpn: OnlineRpn) -> None:
+        self._whole, self._rpn = whole, rpn
+
+    region_dim = property(lambda self: self._whole.region_dim)
+    mask_dim = property(lambda self: self._whole.mask_dim)
+    mask_size = property(lambda self: self._whole.mask_size)
+
+    def extract(self, rgb: NDArray[np.uint8]) -> ImageFeatures:
+        """Extract as the whole does, and propose on-line."""
+        features = self._whole.extract(rgb)
+        cells = self._whole.rpn_cells(features)
+        assert cells is not None
+        boxes, scores = self._rpn.propose(cells, features.image_size)
+        return replace(features, proposals=boxes, scores=scores)
+
+    def region_features(self, features: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
+        """Describe boxes as the whole does."""
+        return self._whole.region_features(features, boxes)
+
+    def mask_features(self, features: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
+        """Describe pixels as the whole does."""
+        return self._whole.mask_features(features, boxes)
+
+
+def taught_rpns(
+    extractor: FeatureExtractor, data: Dataset, progress: Callable[[float], None]
+) -> tuple[dict[str, OnlineRpn], dict[str, float]]:
+    """Return on-line networks that were taught all frames of `data`, and the seconds of their training."""
+    rpns = {name: way(lambda: load("online_head", "falkon")(), Minibootstrap()) for name, way in WAYS.items()}
+    for number, (frame, instances) in enumerate(data):
+        features = extractor.extract(frame.rgb)
+        cells = extractor.rpn_cells(features)
+        assert cells is not None
+        truth = torch.tensor(np.array([i.box for i in instances]), dtype=torch.float32).reshape(-1, 4)
+        for rpn in rpns.values():
+            rpn.observe(cells, truth, features.image_size, torch.Generator().manual_seed(number))
+        progress((number + 1) / len(data))
+    times = {}
+    for name, rpn in rpns.items():
+        begun = time.perf_counter()
+        rpn.train(torch.Generator().manual_seed(0))
+        times[name] = time.perf_counter() - begun
+    return rpns, times
+
+
 def main() -> None:
     """Measure and write benchmarks/results/features.json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--weights", default="compact")
     parser.add_argument("--frames", type=int, default=400, help="validation frames of the FEATURE-TASK")
     parser.add_argument("--new-frames", type=int, default=100, help=f"test frames of {NEW_OBJECTS}")
+    parser.add_argument("--taught-frames", type=int, default=160, help="frames the on-line networks learn from")
     parser.add_argument("--data", type=Path, help="folder of the FEATURE-TASK's frames")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
@@ -66,6 +127,17 @@ def main() -> None:
             task = progress.add_task(title, total=1.0)
             found = measure(extractor, data, count, lambda share, task=task: progress.update(task, completed=share))
             figures |= {f"{prefix}.{key}": Figure(value, "1", n=count) for key, value in found.items()}
+        task = progress.add_task("teaching on-line networks", total=1.0)
+        lessons = load("dataset", NEW_OBJECTS)(split="train", frames=options.taught_frames)
+        rpns, times = taught_rpns(extractor, lessons, lambda share: progress.update(task, completed=share))
+        for name, rpn in rpns.items():
+            task = progress.add_task(f"their proposals: {name}", total=1.0)
+            own = WithProposals(extractor, rpn)
+            found = proposal_recall(
+                own, new, options.new_frames, lambda share, task=task: progress.update(task, completed=share)
+            )
+            figures |= {f"{name}.{key}": Figure(value, "1", n=options.new_frames) for key, value in found.items()}
+            figures[f"{name}.train_s"] = Figure(times[name], "s")
     image = np.asarray(known[0][0].rgb)
     features = extractor.extract(image)
     figures |= {

@@ -46,38 +46,42 @@ def squared_distances(
     return distances.clamp_(min=0.0)
 
 
-class Gaussian(Kernel):
+class Radial(Kernel):
+    """A function of the Euclidean distance."""
+
+    def __call__(
+        self,
+        X: torch.Tensor,
+        Y: torch.Tensor,
+        Y_squares: torch.Tensor | None = None,
+        out: torch.Tensor | None = None,
+    ) -> torch.Tensor:
+        """Return the (n, m) kernel matrix."""
+        return self._of_squares(squared_distances(X, Y, Y_squares, out))
+
+    @abstractmethod
+    def _of_squares(self, distances: torch.Tensor) -> torch.Tensor:
+        """Turn squared distances (n, m) into kernel values, in place."""
+
+
+class Gaussian(Radial):
     """exp(-|x - y|^2 / (2 sigma^2)); source: thesis 10.3.2, the kernel of all its heads."""
 
     def __init__(self, sigma: float) -> None:
         self.sigma = sigma
 
-    def __call__(
-        self,
-        X: torch.Tensor,
-        Y: torch.Tensor,
-        Y_squares: torch.Tensor | None = None,
-        out: torch.Tensor | None = None,
-    ) -> torch.Tensor:
-        """Return the (n, m) kernel matrix."""
-        return squared_distances(X, Y, Y_squares, out).mul_(-0.5 / self.sigma**2).exp_()
+    def _of_squares(self, distances: torch.Tensor) -> torch.Tensor:
+        return distances.mul_(-0.5 / self.sigma**2).exp_()
 
 
-class Laplacian(Kernel):
+class Laplacian(Radial):
     """exp(-|x - y| / sigma) with the Euclidean norm, as in the FALKON library (scikit-learn takes the 1-norm)."""
 
     def __init__(self, sigma: float) -> None:
         self.sigma = sigma
 
-    def __call__(
-        self,
-        X: torch.Tensor,
-        Y: torch.Tensor,
-        Y_squares: torch.Tensor | None = None,
-        out: torch.Tensor | None = None,
-    ) -> torch.Tensor:
-        """Return the (n, m) kernel matrix."""
-        return squared_distances(X, Y, Y_squares, out).sqrt_().mul_(-1.0 / self.sigma).exp_()
+    def _of_squares(self, distances: torch.Tensor) -> torch.Tensor:
+        return distances.sqrt_().mul_(-1.0 / self.sigma).exp_()
 
 
 class Linear(Kernel):
