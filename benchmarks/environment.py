@@ -8,7 +8,9 @@ the environment takes above the physics steps it contains, as a share of them; t
 time of one thread; the starts are planned beforehand.
 
 `sim.scaling_2`: control steps a second of wall time of two processes at once (`icub_core.workers`) over those of one;
-`sim.scaling_2_threads`: of one environment whose worlds two threads step over the same with one thread.
+`sim.scaling_2_limit`: the same of nothing but physics steps, in the engine's own loop: what the machine allows, with
+whatever else runs on it; `sim.scaling_2_threads`: of one environment whose worlds two threads step over the same with
+one thread.
 """
 
 from __future__ import annotations
@@ -40,11 +42,10 @@ OBJECTS = ["004_sugar_box", "006_mustard_bottle", "010_potted_meat_can"]
 
 
 class Clock:
-    """Adds up the processor time of one method of an object, and counts the calls."""
+    """Adds up the processor time of one method of an object."""
 
     def __init__(self, owner: object, method: str) -> None:
         self.seconds = 0.0
-        self.calls = 0
         self._call = getattr(owner, method)
         setattr(owner, method, self)
 
@@ -53,25 +54,7 @@ class Clock:
         begun = time.thread_time()
         answer = self._call(*arguments)
         self.seconds += time.thread_time() - begun
-        self.calls += 1
         return answer
-
-
-class Nothing:
-    """Has a method that does nothing, to find out what a `Clock` itself takes."""
-
-    def step(self, n: int) -> None:
-        """Do nothing."""
-
-
-def clock_cost(calls: int = 20_000) -> float:
-    """Return the seconds that a `Clock` adds to a call without counting them itself."""
-    idle = Nothing()
-    clock = Clock(idle, "step")
-    begun = time.thread_time()
-    for _ in range(calls):
-        idle.step(5)
-    return (time.thread_time() - begun - clock.seconds) / calls
 
 
 def build(name: str, worlds: int, seed: int, threads: int = 1) -> tuple[GraspEnv, list[StartState]]:
@@ -110,13 +93,10 @@ def play(env: GraspEnv, starts: Sequence[StartState], clock: Callable[[], float]
 def measure(name: str, worlds: int, seed: int) -> tuple[float, float, int]:
     """Return steps per second of whole episodes, the overhead share, and the control steps measured."""
     env, starts = build(name, worlds, seed)
-    clocks = [Clock(task.simulator, "step") for task in env.batch.tasks]
+    physics = Clock(env.batch, "simulate")  # once a control step of all worlds: watching takes no time to speak of
     steps, total, in_env = play(env, starts, time.thread_time)
-    physics = sum(clock.seconds for clock in clocks)
-    watching = clock_cost() * sum(clock.calls for clock in clocks)
-    total, in_env = total - watching, in_env - watching
     env.close()
-    return steps / total, (in_env - physics) / physics, steps
+    return steps / total, in_env / physics.seconds - 1.0, steps
 
 
 class Player:
@@ -131,8 +111,24 @@ class Player:
         return sum(play(self._env, self._starts, time.perf_counter)[0] for _ in range(repeats))
 
 
+class Stepper:
+    """Does nothing but physics steps of one world, in the engine's loop. Lives in a worker process."""
+
+    def __init__(self, name: str) -> None:
+        env, (start,) = build(name, 1, seed=0)
+        self._simulator, self._start = env.batch.tasks[0].simulator, start
+
+    def __call__(self, repeats: int) -> int:
+        """Step `repeats` times 4000 steps from the same start; returns the steps."""
+        for _ in range(repeats):
+            self._simulator.restore_state(self._start.simulation)
+            for _ in range(4):
+                self._simulator.step(1000)
+        return 4000 * repeats
+
+
 def timed(workers: Workers[int, int], jobs: Sequence[int]) -> float:
-    """Return control steps per second of wall time over jobs done at once."""
+    """Return steps per second of wall time over jobs done at once."""
     begun = time.perf_counter()
     steps = workers.map(jobs)
     return sum(step or 0 for step in steps) / (time.perf_counter() - begun)
@@ -141,12 +137,14 @@ def timed(workers: Workers[int, int], jobs: Sequence[int]) -> float:
 def scaling(options: argparse.Namespace) -> dict[str, Figure]:
     """Measure two processes against one, and two threads against one, turn by turn."""
     name, worlds = options.objects[0], options.worlds // 2
-    processes, threads = [], []
-    with Workers(partial(Player, name, worlds), 2) as workers:
-        workers.map([1, 1])  # both are set up
+    processes, limits, threads = [], [], []
+    with Workers(partial(Player, name, worlds), 2) as players, Workers(partial(Stepper, name), 2) as steppers:
+        players.map([1, 1])  # both are set up
+        steppers.map([1, 1])
         for _ in track(range(options.repeats * 3), description="one and two processes", transient=True):
-            alone = timed(workers, [2])
-            processes.append(timed(workers, [2, 2]) / alone)
+            for workers, jobs, ratios in ((players, 2, processes), (steppers, 10, limits)):
+                alone = timed(workers, [jobs])
+                ratios.append(timed(workers, [jobs, jobs]) / alone)
     single, starts = build(name, worlds, seed=0)
     double = GraspEnv(single.batch.tasks, threads=2)
     for _ in track(range(options.repeats * 3), description="one and two threads", transient=True):
@@ -156,7 +154,11 @@ def scaling(options: argparse.Namespace) -> dict[str, Figure]:
     double.close()
     return {
         key: Figure(float(np.median(values)), "1", float(np.std(values)), len(values))
-        for key, values in (("sim.scaling_2", processes), ("sim.scaling_2_threads", threads))
+        for key, values in (
+            ("sim.scaling_2", processes),
+            ("sim.scaling_2_limit", limits),
+            ("sim.scaling_2_threads", threads),
+        )
     }
 
 

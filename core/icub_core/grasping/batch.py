@@ -203,11 +203,12 @@ class TaskBatch:
         # a loop for each task: physics throws the interpreter out of the processor's caches
         for world in share:
             self._simulators[world].set_targets(self._command[world])
-        self._simulate(share)
+        self.simulate(share)
         for world in share:
             self._read(world)
 
-    def _simulate(self, worlds: Sequence[int]) -> None:
+    def simulate(self, worlds: Sequence[int]) -> None:
+        """Advance the physics of some worlds by one control step; everything else of a step is `step`'s."""
         for world in worlds:
             self._simulators[world].step(self._substeps)
 
