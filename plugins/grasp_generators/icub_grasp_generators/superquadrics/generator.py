@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from icub_core.data import Grasp, GraspProposals, PointCloud
 from icub_core.errors import DataError
+from icub_core.geometry import FloatArray
 from icub_core.interfaces.grasp_generator import GraspGenerator
 from icub_core.interfaces.robot import Robot
 from icub_core.scene import Table
 from icub_grasp_generators.clouds import CLOUD_POINTS, MAX_TOUCHED, thin
-from icub_grasp_generators.hand_geometry import Spheres
+from icub_grasp_generators.hand_geometry import Occupancy, Spheres
 from icub_grasp_generators.reach import HandGeometries, Reach
+from icub_grasp_generators.superquadrics.evidence import Evidence
 from icub_grasp_generators.superquadrics.fit import fit_superquadric
 from icub_grasp_generators.superquadrics.poses import evaluate, family
 from icub_grasp_generators.superquadrics.shape import Superquadric
@@ -19,6 +22,8 @@ from icub_grasp_generators.superquadrics.shape import Superquadric
 NAME = "superquadrics"
 
 _MIN_INLIERS = 0.5
+_APPROACH = (0.0, 0.015, 0.03, 0.045)  # metres before the grasp where the open hand must be clear of the cloud
+_APPROACH_POINTS, _APPROACH_TOUCHED = 1000, 5
 _POSTURE_WEIGHT = 0.1  # cost per rad^2 of distance from the home posture
 
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # the robot's plane of symmetry
@@ -62,13 +67,17 @@ class Superquadrics(GraspGenerator):
 
         # a left hand grasps the mirror image of what a right hand grasps
         shape, body, board = fit.shape, geometry.hand, table
+        points, viewpoint = cloud.points, cloud.viewpoint
         if hand == "left":
             shape, body, board = (
                 _mirrored(shape),
                 Spheres(body.centers * [1.0, 1.0, -1.0], body.radii),
                 _mirrored_table(table),
             )
-        candidates, reason = evaluate(shape, family(shape), body, board)
+            side = np.diag(_MIRROR)[:3]
+            points, viewpoint = points * side, None if viewpoint is None else viewpoint * side
+        evidence = None if viewpoint is None else Evidence(shape, points, viewpoint)
+        candidates, reason = evaluate(shape, family(shape), body, board, evidence)
         if reason:
             return GraspProposals((), center, reason)
         T_world_hand = _MIRROR @ candidates.T @ _FLIP if hand == "left" else candidates.T
@@ -77,11 +86,29 @@ class Superquadrics(GraspGenerator):
         if not free.any():
             return GraspProposals((), center, "at every pose around the object the open hand meets points of the cloud")
         best = np.nonzero(free)[0][: self._max_tries]
+        best = best[_clear_on_approach(T_world_hand[best], center, geometry.occupancy, cloud.points)]
+        if not len(best):
+            return GraspProposals((), center, "on the way to every pose the open hand meets points of the cloud")
         tries = [Grasp(T_world_hand[i], center, -float(candidates.cost[i]), NAME, hand) for i in best]
         grasps = Reach(robot, geometry, table, _POSTURE_WEIGHT).choose(tries, self._max_grasps)
         if not grasps:
             return GraspProposals((), center, f"the {hand} arm reaches none of {len(tries)} poses around the object")
         return GraspProposals(grasps, center)
+
+
+def _clear_on_approach(
+    T: FloatArray, center: FloatArray, occupancy: Occupancy, points: NDArray[np.floating]
+) -> NDArray[np.bool_]:
+    """Say which hands at T (C, 4, 4) meet hardly a point of the cloud (N, 3) on the last way to their grasp: (C,)."""
+    cloud = thin(points, _APPROACH_POINTS)
+    outward = T[:, :3, 3] - center
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    clear = np.ones(len(T), dtype=bool)
+    for before in _APPROACH:
+        T_before = T[clear].copy()
+        T_before[:, :3, 3] += before * outward[clear]
+        clear[clear] = occupancy.count(T_before, cloud) <= _APPROACH_TOUCHED
+    return clear
 
 
 def _mirrored(shape: Superquadric) -> Superquadric:

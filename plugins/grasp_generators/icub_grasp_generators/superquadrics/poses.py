@@ -21,6 +21,7 @@ from icub_core.geometry import FloatArray, rotation_about
 from icub_core.scene import Table
 from icub_grasp_generators.hand_geometry import Spheres
 from icub_grasp_generators.reach import clears_table
+from icub_grasp_generators.superquadrics.evidence import Evidence
 from icub_grasp_generators.superquadrics.shape import Superquadric
 
 MAX_WIDTH = 0.075
@@ -84,8 +85,17 @@ def family(shape: Superquadric) -> FloatArray:
     return T.reshape(-1, 4, 4)
 
 
-def evaluate(shape: Superquadric, T: FloatArray, hand: Spheres, table: Table | None) -> tuple[Candidates, str]:
+def evaluate(
+    shape: Superquadric, T: FloatArray, hand: Spheres, table: Table | None, evidence: Evidence | None = None
+) -> tuple[Candidates, str]:
     """Drop poses that are too wide, in the table or in the solid, and cost the others.
+
+    Args:
+        shape: The object.
+        T: (C, 4, 4) world poses of the right hand.
+        hand: Body of the open hand, in its frame.
+        table: What it must stay out of.
+        evidence: What the camera saw; None where its place is not known.
 
     Returns:
         The surviving candidates, cheapest first, and, when there is none, what stood in the way of the last ones.
@@ -107,6 +117,8 @@ def evaluate(shape: Superquadric, T: FloatArray, hand: Spheres, table: Table | N
     cost = (
         _ray_cost(shape, T) + _ellipsoid_cost(shape, T) + _lever_cost(shape, T) + 20.0 * np.maximum(width - 0.055, 0.0)
     )
+    if evidence is not None:
+        cost += evidence.cost(T)
     order = np.argsort(cost, kind="stable")
     return Candidates(T[order], cost[order]), ""
 

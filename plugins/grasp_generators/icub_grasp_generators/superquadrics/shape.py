@@ -141,11 +141,14 @@ class Superquadric:
         norm, gradient = self._gauge(points)
         return (norm - 1.0) / np.linalg.norm(gradient, axis=-1)
 
+    def gradients(self, points: NDArray[np.floating]) -> FloatArray:
+        """Return the gradients of G (..., 3), world, 1/metre, at world points (..., 3); constant along every ray."""
+        return self._gauge(points)[1] @ self.T_world_object[:3, :3].T
+
     def normals(self, points: NDArray[np.floating]) -> FloatArray:
         """Return the outward unit normals (..., 3), world, where the rays through world points (..., 3) leave."""
-        _, gradient = self._gauge(points)
-        gradient /= np.linalg.norm(gradient, axis=-1, keepdims=True)
-        return gradient @ self.T_world_object[:3, :3].T
+        gradient = self.gradients(points)
+        return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
 
     def support(self, directions: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
         """Return how far the solid reaches from its centre along unit world directions (..., 3), and where.
