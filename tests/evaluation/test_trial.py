@@ -6,6 +6,7 @@ import importlib.util
 import json
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import torch
 
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import ConfigError, DataError, NotFittedError
+from icub_core.evaluation.detection import MEAN_NAMES
 from icub_core.evaluation.head_clock import clocked_heads, heads_share
 from icub_core.evaluation.trial import Trial, run_trial
 from icub_core.evaluation.trial_report import markdown_table, plot_over_time
@@ -101,6 +103,7 @@ def test_a_trial_teaches_in_order_updates_once_and_measures():
     assert 0.006 <= trial.feature_seconds < 0.15  # the update is not in it
     assert trial.update_seconds >= 0.15
     assert trial.parts == {"detection": 0.02, "masks": 0.01}
+    assert trial.voc["area"]["map50_bbox"] == trial.voc["11-point"]["map70_segm"] == 1.0
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     assert Trial.from_dict(json.loads(json.dumps(trial.as_dict()))) == trial
@@ -110,6 +113,8 @@ def test_two_instances_taken_for_one_are_no_hit():
     trial = run_trial(ByColour(), Squares([["red"]]), Squares([["red", "red"]]), lambda share, text: None)
     assert trial.metrics.map70_segm == 0.0  # one mask over both covers each by a half
     assert math.isclose(trial.metrics.map50_segm, 51 / 101)
+    assert math.isclose(trial.voc["11-point"]["map50_segm"], 6 / 11)
+    assert math.isclose(trial.voc["area"]["map50_segm"], 0.5)
 
 
 def test_nothing_to_learn_or_to_examine_is_refused():
@@ -124,11 +129,10 @@ def benchmark():
     path = Path(__file__).parents[2] / "benchmarks" / "segmentation.py"
     spec = importlib.util.spec_from_file_location("segmentation_benchmark", path)
     module = importlib.util.module_from_spec(spec)
-    import sys
-
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(path.parent))  # as when it is run as a script
+        spec.loader.exec_module(module)
+        yield module
 
 
 def trial_with(map50, update_seconds, map70=0.5):
@@ -138,8 +142,10 @@ def trial_with(map50, update_seconds, map70=0.5):
 
 
 def test_the_benchmark_reports_means_deviations_and_ratios_run_by_run(benchmark):
+    from _segmentation_trials import Run
+
     def runs(*trials):
-        return [benchmark.Run(trial, 0.1) for trial in trials]
+        return [Run(trial, 0.1) for trial in trials]
 
     measured = {
         ("tabletop", "ours"): runs(trial_with(0.80, 1.0), trial_with(0.90, 2.0)),
@@ -176,6 +182,11 @@ def test_a_report_has_a_row_a_method_and_a_plot(tmp_path):
     table = markdown_table({"ours": trials, "not measured": []})
     assert table.count("\n") == 3
     assert "| ours | 85.0 ± 7.1 |" in table
+    by_rule = {rule: dict.fromkeys(MEAN_NAMES, value) for rule, value in (("11-point", 0.25), ("area", 0.75))}
+    known = [replace(trial, voc=by_rule) for trial in trials]
+    both = markdown_table({"ours": known, "older": trials})
+    assert "| ours | 25.0 ± 0.0 | 25.0 ± 0.0 | 25.0 ± 0.0 | 25.0 ± 0.0 | 75.0 ± 0.0 |" in both
+    assert both.count("| older |") == 1
     plot_over_time(tmp_path / "plot.png", "title", {"ours": {"ours": trials}, "none": {}})
     assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
 

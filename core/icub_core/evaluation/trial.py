@@ -10,6 +10,7 @@ from typing import Any
 from icub_core.data import Instance
 from icub_core.errors import DataError
 from icub_core.evaluation.detection import DetectionMetrics, evaluate_instances
+from icub_core.evaluation.voc import RULES, evaluate_voc
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter
 
@@ -27,6 +28,7 @@ class Trial:
         parts: Seconds within the update by part, such as ``rpn``, ``detection``, ``masks``, as the segmenter says.
         segment_seconds: Mean wall time of finding the objects in one test frame.
         train_frames, test_frames: Frames that were read.
+        voc: The four means by PASCAL VOC's rules, by the name of the rule (see `icub_core.evaluation.voc`).
     """
 
     metrics: DetectionMetrics
@@ -36,6 +38,7 @@ class Trial:
     segment_seconds: float = 0.0
     train_frames: int = 0
     test_frames: int = 0
+    voc: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers, for JSON."""
@@ -91,4 +94,5 @@ def run_trial(segmenter: Segmenter, train: Dataset, test: Dataset, progress: Pro
         segment_seconds=segment_seconds / len(found),
         train_frames=taught,
         test_frames=len(found),
+        voc={rule: evaluate_voc(truth, found, examined, rule).as_dict() for rule in RULES},
     )

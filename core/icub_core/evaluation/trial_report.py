@@ -9,6 +9,7 @@ from pathlib import Path
 
 from icub_core.evaluation.detection import MEAN_NAMES
 from icub_core.evaluation.trial import Trial
+from icub_core.evaluation.voc import RULES
 from icub_core.files import write_bytes_atomically
 
 PARTS = ("rpn", "detection", "masks")
@@ -38,14 +39,28 @@ def cells(trials: Sequence[Trial]) -> list[str]:
 
 
 def markdown_table(rows: Mapping[str, Sequence[Trial]]) -> str:
-    """Return a table with a row a method: four mAPs in percent, times in seconds."""
+    """Return a table with a row a method: four mAPs in percent, times in seconds; and one by VOC's rules, if known."""
     lines = [f"| method | {' | '.join(HEADINGS)} |", f"| --- |{' ---: |' * len(HEADINGS)}"]
     lines += [f"| {name} | {' | '.join(cells(trials))} |" for name, trials in rows.items() if trials]
-    return "\n".join(lines) + "\n"
+    by_voc = {name: trials for name, trials in rows.items() if trials and all(t.voc for t in trials)}
+    return "\n".join([*lines, *_voc_table(by_voc), ""])
+
+
+def _voc_table(rows: Mapping[str, Sequence[Trial]]) -> list[str]:
+    """Return the lines of a table of the four means by each of VOC's rules; none without methods."""
+    if not rows:
+        return []
+    headings = [f"{heading}, {rule}" for rule in RULES for heading in HEADINGS[: len(MEAN_NAMES)]]
+    lines = ["", "By the rules of PASCAL VOC, the thesis's metric:", ""]
+    lines += [f"| method | {' | '.join(headings)} |", f"| --- |{' ---: |' * len(headings)}"]
+    for name, trials in rows.items():
+        values = [cell([100 * t.voc[rule][mean] for t in trials], 1) for rule in RULES for mean in MEAN_NAMES]
+        lines.append(f"| {name} | {' | '.join(values)} |")
+    return lines
 
 
 def plot_over_time(path: Path, title: str, series: Mapping[str, Mapping[str, Sequence[Trial]]]) -> None:
-    """Draw mask mAP50 and mAP70 over the seconds after the last frame; methods of one series are joined by a line.
+    """Draw the four mAPs over the seconds after the last frame; methods of one series are joined by a line.
 
     Args:
         path: PNG file.
@@ -57,9 +72,9 @@ def plot_over_time(path: Path, title: str, series: Mapping[str, Mapping[str, Seq
     from matplotlib.figure import Figure
     from matplotlib.ticker import StrMethodFormatter
 
-    figure = Figure(figsize=(12, 4.4), dpi=100, layout="constrained")
-    panels = figure.subplots(1, 2)
-    for axes, name in zip(panels, ("map50_segm", "map70_segm"), strict=True):
+    figure = Figure(figsize=(12, 8), dpi=100, layout="constrained")
+    panels = figure.subplots(2, 2).T.flatten()
+    for axes, name, heading in zip(panels, MEAN_NAMES, HEADINGS, strict=False):
         for number, (label, methods) in enumerate(series.items()):
             done = [trials for trials in methods.values() if trials]
             if not done:
@@ -71,7 +86,7 @@ def plot_over_time(path: Path, title: str, series: Mapping[str, Mapping[str, Seq
                 yerr=[statistics.stdev(v) if len(v) > 1 else 0.0 for v in values],
                 marker="o", capsize=3, label=label, color=colormaps["tab20"](number % 20),
             )  # fmt: skip
-        axes.set(xscale="log", xlabel="seconds after the last frame", ylabel=f"mask mAP{name[3:5]}, %")
+        axes.set(xscale="log", xlabel="seconds after the last frame", ylabel=f"{heading}, %")
         for axis in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
             axis(StrMethodFormatter("{x:g}"))
         axes.tick_params(axis="x", which="both", labelsize=7, rotation=45)

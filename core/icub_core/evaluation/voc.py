@@ -16,7 +16,7 @@ from icub_core.evaluation.overlap import box_iou, boxes_of, check_image_lists, m
 
 FloatArray = NDArray[np.float64]
 Rule = Literal["11-point", "area"]
-RULES = ("11-point", "area")
+RULES: tuple[Rule, ...] = ("11-point", "area")
 
 
 def average_precision(recall: FloatArray, precision: FloatArray, rule: Rule = "11-point") -> float:

@@ -48,9 +48,10 @@ SURPLUS = 1.5
 """Negatives in the store may outgrow the budget by this factor before old images are thinned out."""
 SMALLEST_MASK = 20
 """Pixels; what is smaller than this is no finding."""
-ANCHORS_DESCRIBED = 100
-"""Anchors that join the pre-trained network's proposals as regions to learn from, where regions are proposed on-line:
-without them the detector has never seen most of what is proposed to it, and takes some of it for objects."""
+ANCHORS_DESCRIBED = 400
+"""Anchors that join the pre-trained network's proposals, of all of which regions to learn from are drawn, where regions
+are proposed on-line: the detector has never seen most of what is proposed to it otherwise, and takes some of it for
+objects. With 0, 100 and 400 mask mAP50 on the table-top task was 74, 77 and 80 (one run)."""
 BANK_PICTURES = 0
 """Clutter pictures that are learnt from as they are, before the first lesson: a bank of negatives."""
 
