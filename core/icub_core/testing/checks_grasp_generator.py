@@ -112,6 +112,20 @@ def check_not_finite(make: Make) -> None:
     _refused(make, PointCloud(np.full((500, 3), np.nan)), "a cloud of NaN")
 
 
+def check_degenerate(make: Make) -> None:
+    """A cloud on a plane, on a line or in one place gives grasps or the reason in one line, no error."""
+    points = _surface().points
+    top, corner = points[points[:, 2] > PLACE[2] + 0.999 * BOTTLE[2]], points.min(axis=0)
+    line = np.tile(corner, (200, 1))
+    line[:, 0] += np.linspace(0.0, 0.1, 200)
+    for what, cloud in (("plane", top), ("line", line), ("place", np.tile(corner, (200, 1)))):
+        answer = _proposed(make, PointCloud(cloud.copy()))
+        told = bool(answer.reason.strip()) and "\n" not in answer.reason
+        expect(
+            answer.grasps or told, f"grasps or the reason in one line for a cloud on one {what}", repr(answer.reason)
+        )
+
+
 def check_too_large(make: Make) -> None:
     """A cloud that no hand can hold gives no grasps and the reason."""
     _refused(make, _surface(np.array([-0.4, 0.0, TABLE.top + 0.2]), (0.4, 0.4, 0.2)), "a cloud of 0.8 m")

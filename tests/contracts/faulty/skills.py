@@ -81,6 +81,14 @@ class FailsOnNaN(TinyGraspGenerator):
         return super().propose(cloud, robot, table, hand)
 
 
+@breaks("grasp_generator", "check_degenerate")
+class InvertsTheSpread(TinyGraspGenerator):
+    def propose(self, cloud, robot, table, hand="right"):
+        if len(cloud) > 2 and np.isfinite(cloud.points).all():
+            np.linalg.inv(np.round(np.cov(cloud.points.T), 12))
+        return super().propose(cloud, robot, table, hand)
+
+
 @breaks("grasp_generator", "check_too_large")
 class GraspsAnything(TinyGraspGenerator):
     def propose(self, cloud, robot, table, hand="right"):
