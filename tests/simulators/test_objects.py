@@ -13,6 +13,7 @@ from icub_core.testing.checks import checks
 from icub_simulators.decimation import decimate
 from icub_simulators.mujoco.simulator import Mujoco
 from icub_simulators.objects.folder import Folder
+from icub_simulators.objects.meshes import count_faces, read_mesh
 from icub_simulators.objects.random1000 import Random1000
 from icub_simulators.objects.resting import drop
 from icub_simulators.objects.solids import center_of_mass, hull_volume, narrowest_width, rest_pose, stable_poses
@@ -282,6 +283,44 @@ def test_model_files_that_cannot_be_used_are_one_clear_line(tmp_path, name, cont
     with pytest.raises(DataError, match=message) as caught:
         Folder(tmp_path).get(name.partition(".")[0])
     assert "\n" not in str(caught.value)
+
+
+def test_ten_million_faces_are_refused_before_they_are_read(tmp_path, monkeypatch):
+    monkeypatch.setattr("trimesh.load", lambda *a, **k: pytest.fail("read"))
+    with (tmp_path / "binary.stl").open("wb") as file:
+        file.write(bytes(80) + (10_000_000).to_bytes(4, "little"))
+        file.truncate(84 + 50 * 10_000_000)  # a sparse file
+    monkeypatch.setattr("icub_simulators.objects.meshes.MOST_FACES", 20_000)
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    (tmp_path / "text.obj").write_text(corners + "f 1 2 3\n" * 20_001)
+    (tmp_path / "text.stl").write_text("solid x\n" + "facet normal 0 0 1\n" * 20_001)
+    for file, count in (("binary.stl", 10_000_000), ("text.obj", 20_001), ("text.stl", 20_001)):
+        with pytest.raises(DataError, match=f"{file} has {count} faces; expected at most 20000") as caught:
+            read_mesh(tmp_path / file)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("chunk", [5, 16, 1 << 24])
+def test_faces_are_counted_wherever_the_file_is_cut(tmp_path, monkeypatch, chunk):
+    monkeypatch.setattr("icub_simulators.objects.meshes._CHUNK", chunk)
+    ball = trimesh.creation.icosphere(1)
+    for kind in ("obj", "stl", "stl_ascii"):
+        path = tmp_path / f"{kind}.{kind[:3]}"
+        ball.export(path, file_type=kind)
+        assert count_faces(path) == len(ball.faces)
+
+
+@pytest.mark.slow  # what is not closed is remeshed first
+def test_a_mesh_that_is_not_watertight_is_used_as_it_is(folder):
+    """A box without its lid: walls and a bottom, which convex pieces cover."""
+    box = trimesh.creation.box((0.05, 0.06, 0.1))
+    lid = box.triangles_center[:, 2] > 0.049
+    open_box = trimesh.Trimesh(box.vertices, box.faces[~lid], process=False)
+    assert not open_box.is_watertight
+    spec = folder(open=open_box).get("open")
+    np.testing.assert_allclose(spec.half_extents, (0.025, 0.03, 0.05), atol=2e-3)
+    assert 0 < spec.mass < 500 * 0.05 * 0.06 * 0.1
+    assert len(spec.collision) >= 5
 
 
 def test_millimetres_are_read_with_the_scale(tmp_path):
