@@ -17,7 +17,7 @@ from icub_core.interfaces.simulator import Fault
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import Scene
 from icub_simulators.mujoco.builder import build_physics, parking_place
-from icub_simulators.mujoco.index import LinkSlot, ObjectSlots, build_index
+from icub_simulators.mujoco.index import ObjectSlots, build_index
 
 FloatArray = NDArray[np.float64]
 
@@ -33,6 +33,8 @@ _RESET_WARNINGS = [int(w) for w in (_WARNING.mjWARN_BADQPOS, _WARNING.mjWARN_BAD
 """After each of these the engine resets the world by itself."""
 _CONTROL_WARNING = int(_WARNING.mjWARN_BADCTRL)
 _FULL_WARNINGS = [int(w) for w in (_WARNING.mjWARN_CONTACTFULL, _WARNING.mjWARN_CNSTRFULL)]
+_Places = tuple[FloatArray, FloatArray, FloatArray | None, list[int], FloatArray]
+"""Views of a body's rotation and position, T_body_link, `_contact_codes` of a hand, view of an object's position."""
 _OBJECT, _OTHER = 10, 30  # fingers are 0..4: finger + object 10..14, two objects 20, anything else 30 and more
 _TOUCHES = [np.array([bool(bits >> finger & 1) for finger in range(5)]) for bits in range(32)]
 """Fingertips in contact by a number with one bit for each."""
@@ -64,9 +66,11 @@ class Physics:
         self._ctrl, self._qvel, self._lengths = self.data.ctrl, self.data.qvel, self.data.actuator_length
         self._positions, self._rotations = self.data.xpos, self.data.xmat.reshape(-1, 3, 3)
         self._ones = np.ones(self.model.nu)
+        self._warnings = self.data.warning.number
         self._frame = np.eye(4)
-        self._places: dict[tuple[str, str, str], tuple[LinkSlot, list[int], FloatArray]] = {}
-        self._no_warnings = bytes(self.data.warning.number.nbytes)
+        self._frame_rotation, self._frame_position = self._frame[:3, :3], self._frame[:3, 3]
+        self._places: dict[tuple[str, str, str], _Places] = {}
+        self._no_warnings = bytes(self._warnings.nbytes)
         self._slow = float(index.velocity_limits.min(initial=np.inf)) ** 2
         self._tip_codes = {hand: self._contact_codes(tips) for hand, tips in index.fingertip_of_geom.items()}
         self._stale = True
@@ -227,17 +231,21 @@ class Physics:
         places = self._places.get((frame, hand, name))
         if places is None:
             self.link_pose(frame), self.fingertip_contacts(hand)  # refuse unknown names once
-            codes, thing = self._tip_codes[hand], self.slots(name).body
-            places = self._places[frame, hand, name] = (self.index.links[frame], codes, self._positions[thing])
-        link, codes, position = places
+            link, thing = self.index.links[frame], self.slots(name).body
+            body = self._rotations[link.body], self._positions[link.body]
+            places = self._places[frame, hand, name] = (
+                *body,
+                link.offset,
+                self._tip_codes[hand],
+                self._positions[thing],
+            )
+        rotation, position, offset, codes, object_position = places
         if self._stale:
             self._refresh()
-        T = self._frame
-        T[:3, :3] = self._rotations[link.body]
-        T[:3, 3] = self._positions[link.body]
-        if link.offset is not None:
-            T = T.dot(link.offset)
-        return T, self._lengths + self._b, self._touched(codes), position
+        self._frame_rotation[...] = rotation
+        self._frame_position[...] = position
+        T = self._frame if offset is None else self._frame.dot(offset)
+        return T, self._lengths + self._b, self._touched(codes), object_position
 
     def _contact_codes(self, fingertip_of_geom: NDArray[np.int8]) -> list[int]:
         """Number geoms such that only the sum of finger f and an object is `_OBJECT` + f."""
@@ -286,7 +294,7 @@ class Physics:
 
     def faults(self) -> tuple[Fault, ...]:
         """Return what went wrong since the last reset or restore."""
-        warnings = self.data.warning.number
+        warnings = self._warnings
         if warnings.tobytes() != self._no_warnings:  # half the time of a task's readings went into warnings.any()
             if warnings[_RESET_WARNINGS].any():
                 self._seen.update((Fault.HIDDEN_RESET, Fault.NOT_A_NUMBER))
