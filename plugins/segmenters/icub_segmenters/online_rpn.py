@@ -107,25 +107,17 @@ class OnlineRpn(ABC):
         if self.normalization is None:
             raise NotFittedError("the region proposal network was asked before it was trained")
         X = self.normalization(cells.features)
-        scores = self._scores(cells, X)
-        boxes, kept_scores = [], []
-        for kind in cells.types[scores > NO_CLASSIFIER].unique().tolist():
-            cell, anchor = torch.nonzero(cells.types == kind, as_tuple=True)
-            score = scores[cell, anchor]
-            best = score.topk(min(BEFORE_NMS, len(score))).indices
-            cell, anchor = cell[best], anchor[best]
-            at = cells.anchors[cell, anchor]
+        scores = self._scores(cells, X).flatten()
+        found = min(BEFORE_NMS, int((scores > NO_CLASSIFIER).sum()))
+        score, best = scores.topk(found)
+        kinds, cell = cells.types.flatten()[best], best // cells.types.shape[1]
+        boxes = cells.anchors.reshape(-1, 4)[best]
+        for kind in kinds.unique().tolist():
             if kind in self.regressors:
-                at = decode(at, self.regressors[kind].decision_function(X[cell]), size)
-            boxes.append(at)
-            kept_scores.append(score[best])
-        if not boxes:
-            return torch.zeros(0, 4), torch.zeros(0)
-        box, score = torch.cat(boxes), torch.cat(kept_scores)
-        best = score.topk(min(BEFORE_NMS, len(score))).indices
-        box, score = box[best], score[best]
-        kept = nms(box, score, NMS_IOU)[: self.proposals]
-        return box[kept], score[kept]
+                own = kinds == kind
+                boxes[own] = decode(boxes[own], self.regressors[kind].decision_function(X[cell[own]]), size)
+        kept = nms(boxes, score, NMS_IOU)[: self.proposals]
+        return boxes[kept], score[kept]
 
     def fresh(self) -> OnlineRpn:
         """Return an untrained one of the same configuration."""
