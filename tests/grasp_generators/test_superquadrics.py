@@ -147,6 +147,7 @@ NO_GRASP = {
     "three points": (lambda: PointCloud(np.eye(3)), "3 points"),
     "not finite": (with_nan, "not finite"),
     "collinear": (lambda: PointCloud(np.linspace([-0.4, 0, 1], [-0.3, 0, 1], 90)), "one line"),
+    "tiny": (lambda: PointCloud(cloud_of(CAN, 0.0).points * 1e-3), "within"),
     "huge": (lambda: PointCloud(1e3 * cloud_of(CAN, 0.0).points), "extends over"),
     "another frame": (lambda: PointCloud(cloud_of(CAN, 0.0).points, frame="camera"), "'camera'"),
     "below the table": (lambda: PointCloud(cloud_of(CAN, 0.0).points - [0, 0, 0.3]), ""),
@@ -161,6 +162,17 @@ def test_no_grasp_is_an_answer_with_its_reason_in_one_line(generator, icub, name
     assert proposals.reason
     assert "\n" not in proposals.reason
     assert message in proposals.reason
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_flat_cloud_has_an_answer(generator, icub, axis):
+    """One face of a carton, or a card that stands or lies: a grasp or the reason, in one line."""
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (400, 3)) * [0.02, 0.05, 0.04]
+    points[:, axis] = 0.0
+    answer = generator.propose(PointCloud(points + [-0.35, 0.0, TABLE.top + 0.045]), icub, TABLE)
+    assert answer.grasps or (answer.reason and "\n" not in answer.reason)
+    for grasp in answer.grasps:
+        assert np.isfinite(grasp.T_world_hand).all()
 
 
 def test_an_object_without_a_table_is_grasped_too(generator, icub):

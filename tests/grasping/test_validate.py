@@ -65,6 +65,13 @@ def test_a_grasp_of_air_lifts_nothing(robot, can, standing, grasp):
     assert judged("mujoco", robot, can, standing, moved(grasp, by=[0.0, 0.16, 0.02])) is Verdict.NOT_LIFTED
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_grasp_inside_the_table_has_a_verdict(engine, robot, can, standing, grasp):
+    """The arm presses on the table; nothing breaks and nothing is held."""
+    low = moved(grasp, by=[0.0, 0.3, -0.12])
+    assert judged(engine, robot, can, standing, low) in (Verdict.NOT_LIFTED, Verdict.FAULT)
+
+
 def test_a_can_without_friction_slips_out(robot, can, standing, grasp):
     description = robot.description
     slippery = {link: dataclasses.replace(m, friction=(0.01, 0.0, 0.0)) for link, m in description.contacts.items()}
