@@ -64,7 +64,7 @@ class OursSerial(OnlineSegmenter):
             proposals="online",
             seed=seed,
         )
-        self.rpn = FaithfulRpn(online_head, self.procedure)
+        self.rpn = FaithfulRpn(online_head, self.procedure)  # the thesis's own, in either mode: this is its protocol
         self._lessons: list[Lesson] = []
 
     def update(self) -> UpdateReport:
