@@ -1,4 +1,5 @@
-"""What the grasp generator `vgn` takes: one volume through its network, one signed distance field, one proposal.
+"""What the grasp generator `vgn` takes: one volume through its network, one signed distance field, 300 hand poses
+through their judge, one proposal.
 
     icub benchmark vgn
     icub benchmark vgn --repetitions 100
@@ -29,7 +30,8 @@ from icub_core.data import PointCloud
 from icub_core.evaluation.results import Figure, write_results
 from icub_core.scene import Table
 from icub_grasp_generators.synthetic_clouds import single_view
-from icub_grasp_generators.vgn.network import VgnNetwork
+from icub_grasp_generators.vgn.hand_search import MOST_JUDGED, around
+from icub_grasp_generators.vgn.network import load_network
 from icub_grasp_generators.vgn.volume import Volume
 
 RESULTS = Path(__file__).resolve().parent / "results" / "vgn.json"
@@ -61,7 +63,9 @@ def main() -> None:
     table = Table()
     volume = Volume.around(box.center + PLACE, table.top)
     tsdf = torch.from_numpy(volume.tsdf((cloud,)))[None, None]
-    network = VgnNetwork().eval()
+    network, _, judge = load_network("icub_hand")
+    assert judge is not None  # the shipped file has one
+    view, poses = volume.range_view(cloud), around(cloud.points[::50], cloud)[:MOST_JUDGED]
     robot, generator = registry.build("robot", "icub"), registry.build("grasp_generator", "vgn")
 
     def forward() -> None:
@@ -71,6 +75,7 @@ def main() -> None:
     calls: dict[str, Callable[[], object]] = {
         "vgn.network_ms": forward,
         "vgn.tsdf_ms": lambda: volume.tsdf((cloud,)),
+        "vgn.judge_ms": lambda: judge.judge(view, poses, box.center + PLACE, table.top),
         "vgn.propose_ms": lambda: generator.propose(cloud, robot, table),
     }
     figures = {key: milliseconds(call, options.repetitions, key) for key, call in calls.items()}

@@ -16,7 +16,7 @@ from icub_grasp_generators.hand_geometry import read_hand_geometry
 from icub_grasp_generators.synthetic_clouds import surface
 from icub_grasp_generators.vgn.generator import Vgn
 from icub_grasp_generators.vgn.hand_search import around
-from icub_grasp_generators.vgn.network import SHIPPED, VgnNetwork
+from icub_grasp_generators.vgn.network import SHIPPED, VgnNetwork, load_network
 from icub_grasp_generators.vgn.palm import at_palm
 
 TABLE = Table()
@@ -138,3 +138,17 @@ def test_the_card_says_where_the_weights_come_from_and_how_good_they_are(name):
     assert {"seed", "data", "machine", "versions", "minutes", "steps", "figures"} <= card.keys()
     assert card["figures"]["trials"] >= 50
     assert 0.5 < card["figures"]["auc"] <= 1.0
+    if load_network(name)[2] is not None:
+        assert card["figures"]["judge_auc"] > 0.8
+        assert card["figures"]["judge_held_best"] > card["figures"]["judge_held"] + 0.2
+
+
+def test_the_shipped_judge_takes_the_carton_across_no_more_than_the_hand_opens(generator, icub):
+    """38 mm one way and 175 mm the other: thumb and fingers may come at an angle, not from the ends."""
+    for yaw in (-0.3, 0.0, 0.3):
+        proposals = generator.propose(cloud_of(CARTON, yaw), icub, TABLE)
+        assert proposals, proposals.reason
+        closing = proposals.grasps[0].T_world_hand[:2, 0]
+        across = np.array([np.cos(yaw), np.sin(yaw)])
+        assert 0.038 / abs(closing @ across) < 0.075
+        assert proposals.grasps[0].score > 0.5
