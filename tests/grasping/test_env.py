@@ -221,3 +221,21 @@ def test_an_object_without_any_plan_is_one_clear_error(make_tasks):
     (task,) = make_tasks(masks=lambda frame, name: None)
     with pytest.raises(SimulationError, match="camera does not see the object"):
         task.prepare()
+
+
+def test_a_world_that_is_not_active_stays_and_leaves_the_others_alone(env):
+    env.reset()
+    arrays, texts = env.save()
+    time = env.batch.tasks[0].simulator.time
+    actions = torch.from_numpy(np.random.default_rng(0).uniform(-1, 1, (12, 2, ACTION_SIZE)).astype(np.float32))
+    ends = []
+    for active in ([True, True], [False, True]):
+        env.restore(arrays, texts)
+        now = env.observe()
+        for action in actions:
+            now["action"] = action
+            now = env.advance(now, active)
+        ends.append(now)
+    assert env.batch.tasks[0].simulator.time == time
+    for name in ("hand_pose", "fingers", "reward"):
+        torch.testing.assert_close(ends[0][name][1], ends[1][name][1], rtol=0, atol=1e-6)

@@ -138,7 +138,7 @@ class TaskBatch:
         before = self._target.copy()
         self._target += offsets[:, :6]
         self._target[:, :3] = self._governor.limit_position(self._target[:, :3])
-        errors = self._tracker.follow(self._q, self._target)
+        errors = self._follow(active)
         ahead = (errors[:, 0] > LARGEST_LEAD) | (errors[:, 1] > LARGEST_TURN)
         if ahead.any():  # out of reach: the target waits for the hand instead of running away from it
             self._target[ahead] = before[ahead]
@@ -188,6 +188,16 @@ class TaskBatch:
     def object_name(self, world: int) -> str:
         """Return what one world's episode is about."""
         return self._objects[world]
+
+    def _follow(self, active: Sequence[bool] | None) -> FloatArray:
+        """Move the commanded joints towards the targets; returns what is left, (N, 2) m and rad, 0 where not active."""
+        if active is None or all(active):
+            return self._tracker.follow(self._q, self._target)
+        worlds, errors = np.flatnonzero(active), np.zeros((len(self.tasks), 2))
+        q = self._q[worlds]
+        errors[worlds] = self._tracker.follow(q, self._target[worlds])
+        self._q[worlds] = q
+        return errors
 
     def _advance(self, active: Sequence[bool] | None) -> None:
         shares = self._shares
