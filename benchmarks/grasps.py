@@ -173,7 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         chosen = "".join(f" {word}" for word in overrides)
         sizes = f" --poses {options.poses}" if name == "validate" else f" --episodes {options.episodes}"
         objects = f" --objects {' '.join(options.objects)}" if options.objects else ""
-        options.command = f"python benchmarks/grasps.py --only {name}{sizes}{objects}{chosen}"
+        options.command = f"icub benchmark grasps --only {name}{sizes} --seed {options.seed}{objects}{chosen}"
         with Progress(*Progress.get_default_columns(), TimeElapsedColumn()) as bar:
             figures = PARTS[name](options, plugins, bar)
         _write(options, figures)
