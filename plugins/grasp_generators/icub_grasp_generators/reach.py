@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import weakref
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,16 +65,25 @@ class Reach:
         self._table = table
         self._posture_weight = posture_weight
 
-    def choose(self, candidates: list[Grasp], most: int) -> tuple[Grasp, ...]:
+    def choose(
+        self, candidates: list[Grasp], most: int, clear: Callable[[list[Grasp]], NDArray[np.bool_]] | None = None
+    ) -> tuple[Grasp, ...]:
         """Return at most `most` of the candidates, which come best first, that are reached on the whole way.
 
         They are ranked by score less the posture's cost, among the first hundreds that hold twice as many as asked for.
+
+        Args:
+            candidates: Best first.
+            most: How many are wanted.
+            clear: Asked which of those that are reached may be used; None takes all.
         """
         found: list[Grasp] = []
         for first in range(0, len(candidates), _CHUNK):
             part = candidates[first : first + _CHUNK]
             for offset in WAY:
                 part = self._kept(part, offset)
+            if clear is not None and part:
+                part = [grasp for grasp, free in zip(part, clear(part), strict=True) if free]
             found += part
             if len(found) >= 2 * most:
                 break

@@ -86,28 +86,22 @@ class Superquadrics(GraspGenerator):
         if not free.any():
             return GraspProposals((), center, "at every pose around the object the open hand meets points of the cloud")
         best = np.nonzero(free)[0][: self._max_tries]
-        best = best[_clear_on_approach(T_world_hand[best], center, geometry.occupancy, cloud.points)]
-        if not len(best):
-            return GraspProposals((), center, "on the way to every pose the open hand meets points of the cloud")
         tries = [Grasp(T_world_hand[i], center, -float(candidates.cost[i]), NAME, hand) for i in best]
-        grasps = Reach(robot, geometry, table, _POSTURE_WEIGHT).choose(tries, self._max_grasps)
+        obstacle = thin(cloud.points, _APPROACH_POINTS)
+        grasps = Reach(robot, geometry, table, _POSTURE_WEIGHT).choose(
+            tries, self._max_grasps, lambda reached: _clear_on_approach(reached, geometry.occupancy, obstacle)
+        )
         if not grasps:
-            return GraspProposals((), center, f"the {hand} arm reaches none of {len(tries)} poses around the object")
+            reason = f"the {hand} arm reaches none of {len(tries)} poses around the object without pushing it"
+            return GraspProposals((), center, reason)
         return GraspProposals(grasps, center)
 
 
-def _clear_on_approach(
-    T: FloatArray, center: FloatArray, occupancy: Occupancy, points: NDArray[np.floating]
-) -> NDArray[np.bool_]:
-    """Say which hands at T (C, 4, 4) meet hardly a point of the cloud (N, 3) on the last way to their grasp: (C,)."""
-    cloud = thin(points, _APPROACH_POINTS)
-    outward = T[:, :3, 3] - center
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    clear = np.ones(len(T), dtype=bool)
+def _clear_on_approach(grasps: list[Grasp], occupancy: Occupancy, cloud: FloatArray) -> NDArray[np.bool_]:
+    """Say of which grasps (C,) the open hand meets hardly a point of the cloud (N, 3) on its last way."""
+    clear = np.ones(len(grasps), dtype=bool)
     for before in _APPROACH:
-        T_before = T[clear].copy()
-        T_before[:, :3, 3] += before * outward[clear]
-        clear[clear] = occupancy.count(T_before, cloud) <= _APPROACH_TOUCHED
+        clear &= occupancy.count(np.array([g.backed_off(before) for g in grasps]), cloud) <= _APPROACH_TOUCHED
     return clear
 
 
