@@ -54,12 +54,14 @@ def describe(
     truth_label: torch.Tensor,
     generator: torch.Generator,
     strangers: torch.Tensor | None = None,
+    others: torch.Tensor | None = None,
 ) -> Regions:
     """Describe true boxes (m, 4), boxes drawn around them, and the network's proposals (thesis 11.3.2).
 
     Boxes of other objects (k, 4), where they are known, are described too: what a stranger looks like when it is well
     framed is what must not be taken for a taught object, and few proposals of a picture frame one.
     Of the proposals that are no positives a uniform choice is described; features of the others are not needed.
+    Of other boxes (j, 4), where they are given, as many negatives are described as of the proposals.
     """
     around = [jittered(box, JITTERED, POSITIVE_IOU, image.image_size, generator) for box in truth]
     proposals = image.proposals.cpu()
@@ -70,6 +72,9 @@ def describe(
     for box in () if strangers is None else strangers:
         drawn = jittered(box, STRANGER_BOXES - 1, POSITIVE_IOU, image.image_size, generator) if STRANGER_BOXES else box
         around.append(torch.cat([box[None], drawn.reshape(-1, 4)])[:STRANGER_BOXES])
+    if others is not None:
+        away = torch.nonzero(assign(others, truth, truth_label)[1] == BACKGROUND).flatten()
+        around.append(others[sample(away, KEPT_NEGATIVES, generator)])
     boxes = torch.cat([truth, *around, proposals[kept]])
     label, near, targets = assign(boxes, truth, truth_label)
     features = extractor.region_features(image, boxes).float().cpu()
