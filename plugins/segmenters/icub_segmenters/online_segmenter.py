@@ -49,9 +49,9 @@ SURPLUS = 1.5
 SMALLEST_MASK = 20
 """Pixels; what is smaller than this is no finding."""
 ANCHORS_DESCRIBED = 400
-"""Anchors of a picture from which further negatives are drawn, as many as from the pre-trained network's proposals, where
-regions are proposed on-line: the detector has never seen most of what is proposed to it otherwise, and takes some of it
-for objects. Without them mask mAP50 on the table-top task was 74, with them 77 (one run)."""
+"""Anchors of a picture from which further negatives are drawn, as many as from the pre-trained network's proposals,
+where regions are proposed on-line: the detector has never seen most of what is proposed to it otherwise, and takes some
+of it for objects. Without them mask mAP50 on the table-top task was 74, with them 77 (one run)."""
 BANK_PICTURES = 0
 """Clutter pictures that are learnt from as they are, before the first lesson: a bank of negatives."""
 
