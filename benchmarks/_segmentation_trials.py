@@ -20,7 +20,7 @@ from icub_core.evaluation.head_clock import heads_share
 from icub_core.evaluation.trial import Trial, run_trial
 from icub_core.files import write_text_atomically
 from icub_core.interfaces.dataset import Dataset
-from icub_core.pipeline.settings import SeeSettings, TeachSettings
+from icub_core.pipeline.settings import SHOWN, SeeSettings
 from icub_core.pipeline.shown import shown_and_seen
 
 TASKS = {"tabletop": "rendered_tabletop", "handheld": "rendered_handheld"}
@@ -45,9 +45,8 @@ class Task:
         The objects that are shown are other ones in every run; the rendered tasks are the same.
         """
         if self.name == SHOWING:
-            teach = TeachSettings()
-            teach.frames = max(FEWEST_SHOWN, train // len(teach.objects))
-            return shown_and_seen(run, teach, SeeSettings(frames=test))
+            frames = max(FEWEST_SHOWN, train // len(SHOWN))
+            return shown_and_seen(run, SHOWN, frames, SeeSettings(frames=test))
         return self._split("train", train), self._split("test", test)
 
     def _split(self, split: str, frames: int) -> Dataset:

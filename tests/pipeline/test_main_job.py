@@ -8,6 +8,7 @@ import sys
 import time
 
 import pytest
+import trimesh
 import yaml
 
 from icub_core.cli import main
@@ -44,6 +45,21 @@ def test_a_scripted_grasp_with_ground_truth_masks(tmp_path):
     assert "ground truth" in report, "a stage without plugin is named"
     assert "data:image/gif" in report
     assert (run_dir / "run.log").exists()
+
+
+@pytest.mark.slow
+def test_a_folder_of_meshes_is_grasped_without_naming_anything_else(tmp_path):
+    trimesh.creation.cylinder(0.03, 0.11).export(tmp_path / "tin.stl")
+    trimesh.creation.box((0.05, 0.09, 0.16)).export(tmp_path / "carton.obj")
+    done = icub(
+        "run", "+grasp_generator=vgn", "simulator=pybullet", "objects=folder", f"objects.path={tmp_path}",
+        "pipeline.grasp.episodes=4", "pipeline.grasp.worlds=2", "pipeline.grasp.video_episodes=0", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "carried out by 'demonstrations'" in done.stderr
+    metrics = json.loads((the_only_run(tmp_path) / "metrics.json").read_text())
+    assert metrics["grasp.episodes"] == 4
+    assert metrics["grasp.success_rate"] >= 0.5, "the carton is no harder than those the weights were made for"
 
 
 @pytest.mark.parametrize(

@@ -3,26 +3,49 @@
 import numpy as np
 import pytest
 
-from icub_core.pipeline.settings import SeeSettings, TeachSettings
+from icub_core.pipeline.settings import SHOWN, SeeSettings, grasped, shown
 from icub_core.pipeline.shown import shown_and_seen
+
+FOLDER = ("bowl", "cup", "fork", "mug", "pan", "plate")
+
+
+@pytest.mark.parametrize(
+    ("chosen", "known", "expected"),
+    [
+        (None, (*SHOWN, "035_power_drill"), list(SHOWN)),
+        (None, FOLDER, list(FOLDER[:5])),
+        (None, FOLDER[:2], list(FOLDER[:2])),
+        (["mug"], FOLDER, ["mug"]),
+        ([], FOLDER, []),
+        (["spoon"], FOLDER, ["spoon"]),
+    ],
+)
+def test_what_is_shown_is_chosen_or_usual_or_what_the_set_has(chosen, known, expected):
+    assert shown(chosen, known) == expected
+
+
+def test_what_is_grasped_is_chosen_or_usual_or_the_first():
+    assert grasped("mug", FOLDER) == "mug"
+    assert grasped(None, SHOWN) == "006_mustard_bottle"
+    assert grasped(None, FOLDER) == "bowl"
 
 
 def test_objects_are_shown_one_after_another_and_then_stand_among_strangers_on_a_table():
-    teach = TeachSettings(objects=["006_mustard_bottle", "005_tomato_soup_can"], frames=12)
+    names = ["006_mustard_bottle", "005_tomato_soup_can"]
     shares = []
     train, test = shown_and_seen(
-        3, teach, SeeSettings(frames=4, strangers=4), progress=lambda share, text: shares.append(share)
+        3, names, 12, SeeSettings(frames=4, strangers=4), progress=lambda share, text: shares.append(share)
     )
-    assert train.classes == test.classes == tuple(teach.objects)
+    assert train.classes == test.classes == tuple(names)
     labels = [instances[0].label for _, instances in train]
-    assert labels == sorted(labels, key=teach.objects.index)
-    assert set(labels) == set(teach.objects)
+    assert labels == sorted(labels, key=names.index)
+    assert set(labels) == set(names)
     assert len(test) == 4
     assert shares == sorted(shares)
     for frame, instances in test:
-        assert {i.label for i in instances} <= set(teach.objects)
+        assert {i.label for i in instances} <= set(names)
         assert all(i.mask.shape == frame.rgb.shape[:2] for i in instances)
-    again, _ = shown_and_seen(3, teach, SeeSettings(frames=1, strangers=4))
+    again, _ = shown_and_seen(3, names, 12, SeeSettings(frames=1, strangers=4))
     assert np.array_equal(train[0][0].rgb, again[0][0].rgb)
     with pytest.raises(IndexError):
         test[4]

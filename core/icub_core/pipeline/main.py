@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,9 +20,13 @@ from icub_core.interfaces.segmenter import Segmenter
 from icub_core.pipeline import grasping, seeing
 from icub_core.pipeline.context import RunContext
 from icub_core.pipeline.lifecycle import carry_out
-from icub_core.pipeline.settings import MainSettings
+from icub_core.pipeline.settings import GraspSettings, MainSettings, grasped, shown
+from icub_core.scene import ObjectSpec
 
 logger = logging.getLogger(__name__)
+
+SCRIPTED = "demonstrations"
+"""Carries planned grasps out when neither a segmenter nor a policy was chosen."""
 
 
 def run(cfg: DictConfig, run_dir: Path) -> dict[str, Any]:
@@ -40,11 +45,15 @@ def run(cfg: DictConfig, run_dir: Path) -> dict[str, Any]:
 
 def _stages(context: RunContext, cfg: DictConfig, settings: MainSettings) -> None:
     plugins = Assembly(cfg)
+    if not plugins.chosen("segmenter") and not plugins.chosen("policy"):
+        plugins = Assembly({str(key): cfg.get(key) for key in cfg} | {"policy": {"plugin": SCRIPTED}})
+        context.note(f"no policy was chosen: planned grasps are carried out by '{SCRIPTED}'; +policy=NAME learns to")
     objects = plugins.get("objects")
-    taught = settings.teach.objects if plugins.chosen("segmenter") else []
-    grasped = [settings.grasp.target] if plugins.chosen("policy") else []
-    for name in (*taught, *grasped):
-        objects.get(name)  # a misspelt name must not wait until its stage
+    names = shown(settings.teach.objects, objects.names)
+    taught = [objects.get(name) for name in names] if plugins.chosen("segmenter") else []
+    target = grasped(settings.grasp.target, names if taught else objects.names)
+    if plugins.chosen("policy"):
+        objects.get(target)  # a misspelt name must not wait until its stage
     for kind in ("segmenter", "policy", "grasp_generator"):
         if plugins.chosen(kind):
             plugins.get(kind)  # nor a misspelt parameter or a missing weight file
@@ -52,23 +61,31 @@ def _stages(context: RunContext, cfg: DictConfig, settings: MainSettings) -> Non
     if segmenter is None:
         context.note("no segmenter was chosen: masks are the simulator's ground truth")
     else:
-        _learn_to_see(context, plugins, segmenter, settings)
+        _learn_to_see(context, plugins, segmenter, taught, settings)
     if not plugins.chosen("policy"):
         context.note("no policy was chosen: nothing is grasped; add +policy=NAME")
         return
     if not plugins.chosen("grasp_generator"):
         raise ConfigError("a policy starts from a grasp pose; choose grasp_generator=superquadrics")
-    env = grasp_env(cfg, plugins, segmenter, settings, context.seed)
+    env = grasp_env(cfg, plugins, segmenter, target, settings.grasp, context.seed)
     try:
         with context.stage("plan"):
-            grasping.plan(context, env.batch.tasks[0], settings.grasp.target)
+            grasping.plan(context, env.batch.tasks[0], target)
         with context.stage("grasp"):
             grasping.grasp(context, env, plugins.get("policy"), settings.grasp)
     finally:
         env.close()
 
 
-def _learn_to_see(context: RunContext, plugins: Assembly, segmenter: Segmenter, settings: MainSettings) -> None:
+def _learn_to_see(
+    context: RunContext,
+    plugins: Assembly,
+    segmenter: Segmenter,
+    taught: Sequence[ObjectSpec],
+    settings: MainSettings,
+) -> None:
+    if not taught:
+        raise ConfigError("pipeline.teach.objects is empty; expected at least one name of the object set")
     heads = context.run_dir / "segmenter"
     if context.recall("see"):
         segmenter.load(heads)
@@ -78,15 +95,13 @@ def _learn_to_see(context: RunContext, plugins: Assembly, segmenter: Segmenter, 
     robot = plugins.get("robot").description
     try:
         with context.stage("teach"):
-            seeing.teach(context, simulator, robot, objects, segmenter, settings.teach)
+            seeing.teach(context, simulator, robot, taught, segmenter, settings.teach.frames)
         with context.stage("learn"):
             seeing.learn(context, segmenter)
         with context.stage("see"):
-            targets = [objects.get(name) for name in settings.teach.objects]
-            strangers = seeing.strangers(
-                objects, settings.teach.objects, settings.see.strangers, context.rng("strangers")
-            )
-            seeing.see(context, simulator, targets, strangers, segmenter, settings.see)
+            names = [spec.name for spec in taught]
+            strangers = seeing.strangers(objects, names, settings.see.strangers, context.rng("strangers"))
+            seeing.see(context, simulator, taught, strangers, segmenter, settings.see)
     finally:
         simulator.close()
     segmenter.save(heads)
@@ -94,7 +109,12 @@ def _learn_to_see(context: RunContext, plugins: Assembly, segmenter: Segmenter, 
 
 
 def grasp_env(
-    cfg: DictConfig, plugins: Assembly, segmenter: Segmenter | None, settings: MainSettings, seed: int
+    cfg: DictConfig,
+    plugins: Assembly,
+    segmenter: Segmenter | None,
+    target: str,
+    settings: GraspSettings,
+    seed: int,
 ) -> GraspEnv:
     """Build the worlds in which the target is grasped.
 
@@ -102,20 +122,20 @@ def grasp_env(
         cfg: Composed configuration, for the scene.
         plugins: Of the run.
         segmenter: Finds the target in the picture; None takes the simulator's ground truth.
-        settings: Of the pipeline.
+        target: Name of the object.
+        settings: Of the stage.
         seed: Of the starts.
     """
     masks = functools.partial(seeing.find_mask, segmenter) if segmenter is not None else None
-    target = settings.grasp.target
     scene = build_scene(cfg.scene, [plugins.get("objects").get(target)])
     robot, generator = plugins.get("robot"), plugins.get("grasp_generator")
     task = to_dataclass(cfg.task)
     tasks = []
-    for world in range(settings.grasp.worlds):
+    for world in range(settings.worlds):
         simulator = plugins.fresh("simulator")
         simulator.load(robot.description, scene)
         world_seed = seed + world
         tasks.append(GraspTask(simulator, robot, generator, [target], masks=masks, settings=task, seed=world_seed))
-    encoder = PictureEncoder(plugins.get("feature_extractor")) if settings.grasp.visual else None
-    starts, threads = settings.grasp.starts, settings.grasp.threads
+    encoder = PictureEncoder(plugins.get("feature_extractor")) if settings.visual else None
+    starts, threads = settings.starts, settings.threads
     return GraspEnv(tasks, pool_size=starts, threads=threads, encoder=encoder, seed=seed)

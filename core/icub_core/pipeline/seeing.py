@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from icub_core import registry
 from icub_core.data import Instance, RgbdFrame
-from icub_core.errors import ConfigError, DataError
+from icub_core.errors import DataError
 from icub_core.evaluation.detection import evaluate_instances
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.interfaces.segmenter import Segmenter
@@ -17,7 +17,7 @@ from icub_core.interfaces.simulator import Simulator
 from icub_core.pipeline.appearance import random_lights, random_surface
 from icub_core.pipeline.context import RunContext
 from icub_core.pipeline.pictures import Image, contact_sheet, draw_instances, save_picture
-from icub_core.pipeline.settings import SeeSettings, TeachSettings
+from icub_core.pipeline.settings import SeeSettings
 from icub_core.pipeline.tabletop import Tabletop, tabletop_pictures
 from icub_core.pipeline.teacher import Showing, annotate, show
 from icub_core.robot_description import RobotDescription
@@ -33,14 +33,11 @@ def teach(
     context: RunContext,
     simulator: Simulator,
     robot: RobotDescription,
-    objects: ObjectSet,
+    specs: Sequence[ObjectSpec],
     segmenter: Segmenter,
-    settings: TeachSettings,
+    frames: int,
 ) -> None:
     """Show every object to the robot; features are extracted as the frames arrive, nothing is trained yet."""
-    if not settings.objects:
-        raise ConfigError("pipeline.teach.objects is empty; expected at least one name of the object set")
-    specs = [objects.get(name) for name in settings.objects]
     rng = context.rng("teach")
     samples: list[Image] = []
     annotated = 0
@@ -49,7 +46,7 @@ def teach(
         def tell(share: float, text: str, number: int = number) -> None:
             context.progress((number + share) / len(specs), text)
 
-        seen, sample = teach_object(simulator, robot, spec, segmenter, settings.frames, rng, tell)
+        seen, sample = teach_object(simulator, robot, spec, segmenter, frames, rng, tell)
         annotated += seen
         samples.append(sample)
     context.record({"teach.objects": len(specs), "teach.frames": annotated})

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+
+SHOWN = ("004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle", "010_potted_meat_can", "021_bleach_cleanser")
+"""What the main job shows of `ycb_primitives`."""
+TARGET = "006_mustard_bottle"
+"""What it grasps of them."""
 
 
 @dataclass
@@ -10,19 +16,12 @@ class TeachSettings:
     """What is shown to the robot.
 
     Attributes:
-        objects: Names from the object set, in the order of showing.
+        objects: Names from the object set, in the order of showing; None shows `SHOWN`, or the first five of a set
+            that has not all of them.
         frames: Pictures of each.
     """
 
-    objects: list[str] = field(
-        default_factory=lambda: [
-            "004_sugar_box",
-            "005_tomato_soup_can",
-            "006_mustard_bottle",
-            "010_potted_meat_can",
-            "021_bleach_cleanser",
-        ]  # fmt: skip
-    )
+    objects: list[str] | None = None
     frames: int = 60
 
 
@@ -44,7 +43,8 @@ class GraspSettings:
     """The grasping stage.
 
     Attributes:
-        target: Object to grasp, from the object set.
+        target: Object to grasp, from the object set; None is `TARGET` where it is taught (or, without a segmenter,
+            in the set), else the first one.
         episodes: Evaluation episodes after learning.
         video_episodes: The last of them that are filmed.
         worlds: Simulated worlds side by side.
@@ -53,7 +53,7 @@ class GraspSettings:
         visual: Let policies see the head camera's picture, as the chosen feature extractor describes it.
     """
 
-    target: str = "006_mustard_bottle"
+    target: str | None = None
     episodes: int = 20
     video_episodes: int = 3
     worlds: int = 8
@@ -77,7 +77,8 @@ class ShowingSettings:
     """Teaching by showing: objects one after another, then the correction of a false positive.
 
     Attributes:
-        objects: Shown in this order; what is learned of one is there before the next is shown.
+        objects: Shown in this order; what is learned of one is there before the next is shown. None shows the first
+            three of `SHOWN`, or of a set that has not all of them.
         frames: Pictures of each.
         looks: Pictures of the table in which false positives are sought, and as many others that measure the change.
         strangers: Objects that stand about unknown; one of them is mistaken, and then taught.
@@ -85,8 +86,22 @@ class ShowingSettings:
     """
 
     name: str = "teach_by_showing"
-    objects: list[str] = field(default_factory=lambda: ["004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle"])
+    objects: list[str] | None = None
     frames: int = 60
     looks: int = 24
     strangers: int = 10
     interactive: bool = False
+
+
+def shown(chosen: list[str] | None, known: Sequence[str], count: int = len(SHOWN)) -> list[str]:
+    """Return the objects to show: the user's choice, else the usual ones where all are known, else the first ones."""
+    if chosen is not None:
+        return chosen
+    return list(SHOWN[:count] if set(SHOWN[:count]) <= set(known) else known[:count])
+
+
+def grasped(chosen: str | None, known: Sequence[str]) -> str:
+    """Return the object to grasp: the user's choice, else the usual one where it is known, else the first."""
+    if chosen is not None:
+        return chosen
+    return TARGET if TARGET in known else known[0]

@@ -12,7 +12,7 @@ from icub_core.data import Instance, RgbdFrame
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.pipeline import seeing
-from icub_core.pipeline.settings import SeeSettings, TeachSettings
+from icub_core.pipeline.settings import SeeSettings
 from icub_core.pipeline.tabletop import Tabletop, tabletop_pictures
 
 Sample = tuple[RgbdFrame, tuple[Instance, ...]]
@@ -43,7 +43,8 @@ class Frames(Dataset):
 
 def shown_and_seen(
     seed: int,
-    teach: TeachSettings,
+    names: Sequence[str],
+    frames: int,
     see: SeeSettings,
     engine: str = "mujoco",
     progress: Callable[[float, str], None] = lambda share, text: None,
@@ -52,7 +53,8 @@ def shown_and_seen(
 
     Args:
         seed: Decides rooms, movements, arrangements and strangers.
-        teach: What is shown, from the object set ``ycb_primitives``.
+        names: What is shown, from the object set ``ycb_primitives``.
+        frames: Pictures of each.
         see: How many test pictures and strangers.
         engine: Registry name of the simulator.
         progress: Called with the finished share and a text.
@@ -65,21 +67,21 @@ def shown_and_seen(
     robot = registry.build("robot", "icub").description
     try:
         notes = _Notebook()
-        targets = [objects.get(name) for name in teach.objects]
+        targets = [objects.get(name) for name in names]
         for number, spec in enumerate(targets):
 
             def tell(share: float, text: str, number: int = number) -> None:
                 progress(0.7 * (number + share) / len(targets), text)
 
-            seeing.teach_object(simulator, robot, spec, cast(Segmenter, notes), teach.frames, rng, tell)
-        others = seeing.strangers(objects, teach.objects, see.strangers, rng)
+            seeing.teach_object(simulator, robot, spec, cast(Segmenter, notes), frames, rng, tell)
+        others = seeing.strangers(objects, names, see.strangers, rng)
         test = []
         for frame, present in tabletop_pictures(simulator, targets, others, Tabletop(frames=see.frames), rng):
-            test.append((frame, tuple(i for i in present if i.label in teach.objects)))
+            test.append((frame, tuple(i for i in present if i.label in names)))
             progress(0.7 + 0.3 * len(test) / see.frames, f"{len(test)} of {see.frames} pictures")
     finally:
         simulator.close()
-    return Frames(notes.samples, teach.objects), Frames(test, teach.objects)
+    return Frames(notes.samples, names), Frames(test, names)
 
 
 class _Notebook:

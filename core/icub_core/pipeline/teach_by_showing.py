@@ -21,10 +21,12 @@ from icub_core.pipeline.context import RunContext
 from icub_core.pipeline.conversation import converse
 from icub_core.pipeline.lifecycle import carry_out
 from icub_core.pipeline.pictures import draw_instances
-from icub_core.pipeline.settings import ShowingSettings
+from icub_core.pipeline.settings import ShowingSettings, shown
 from icub_core.pipeline.tabletop import Tabletop
 from icub_core.scene import ObjectSpec
 
+OBJECTS = 3
+"""Shown when nothing was chosen."""
 COMPANY = 3
 """Other unknown objects that stand beside the corrected one in the pictures that measure the correction."""
 
@@ -51,10 +53,11 @@ def _stages(context: RunContext, cfg: DictConfig, settings: ShowingSettings) -> 
     if not plugins.chosen("segmenter"):
         raise ConfigError("there is nobody to teach; choose +segmenter=falkon")
     objects = plugins.get("objects")
-    taught = [objects.get(name) for name in settings.objects]
+    names = shown(settings.objects, objects.names, OBJECTS)
+    taught = [objects.get(name) for name in names]
     if not taught:
         raise ConfigError("pipeline.objects is empty; expected at least one name of the object set")
-    unknown = seeing.strangers(objects, settings.objects, settings.strangers, context.rng("strangers"))
+    unknown = seeing.strangers(objects, names, settings.strangers, context.rng("strangers"))
     simulator = plugins.fresh("simulator")
     classroom = Classroom(context, simulator, plugins.get("robot").description, plugins.get("segmenter"))
     try:

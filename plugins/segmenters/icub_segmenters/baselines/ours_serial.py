@@ -12,7 +12,6 @@ from icub_core.errors import NotFittedError
 from icub_core.interfaces.feature_extractor import FeatureExtractor
 from icub_core.interfaces.online_head import OnlineHead
 from icub_core.interfaces.segmenter import UpdateReport
-from icub_segmenters.faithful_rpn import FaithfulRpn
 from icub_segmenters.lesson import Lesson
 from icub_segmenters.masks import OnlineMasks
 from icub_segmenters.online_segmenter import OnlineSegmenter
@@ -64,7 +63,6 @@ class OursSerial(OnlineSegmenter):
             proposals="online",
             seed=seed,
         )
-        self.rpn = FaithfulRpn(online_head, self.procedure)  # the thesis's own, in either mode: this is its protocol
         self._lessons: list[Lesson] = []
 
     def update(self) -> UpdateReport:
