@@ -102,6 +102,12 @@ def test_without_a_table_the_cube_stands_on_the_lowest_point(generator):
     assert np.all(np.abs(poses[:, 2, 3] - TABLE.top - 0.05) < 0.2)
 
 
+def test_without_a_threshold_only_poses_that_were_judged_are_proposed(icub):
+    proposals = Vgn(threshold=0.0, max_grasps=150).propose(cloud_of(CAN), icub, TABLE)
+    assert proposals, proposals.reason
+    assert min(grasp.score for grasp in proposals.grasps) > 0
+
+
 def test_no_grasp_is_a_result_with_its_reason(icub, generator):
     strict = Vgn(threshold=0.999)
     answer = strict.propose(cloud_of(CAN), icub, TABLE)

@@ -92,7 +92,9 @@ class Vgn(GraspGenerator):
         if self._judge is not None:
             free &= clears_table(geometry.hand.at(T_world_hand), geometry.hand.radii, table)
             chosen = np.flatnonzero(free)[:MOST_JUDGED]
-            quality = np.zeros(len(free))
+            if not len(chosen):
+                return GraspProposals((), center, f"at all {len(free)} poses found the open hand meets cloud or table")
+            quality = np.full(len(free), -np.inf)
             quality[chosen] = self._judged(self._judge, T_right[chosen], right, table)
             free = quality >= self._threshold
             if not free.any():
