@@ -117,6 +117,8 @@ def _figures(runs: Runs, ablation: bool = False) -> dict[str, Figure]:
         prefix = f"segmentation.{'ablation' if ablation else task}.{method}"
         for name in MEAN_NAMES:
             figures[f"{prefix}.{name}"] = _mean([getattr(t.metrics, name) for t in trials], "1")
+        if ablation:
+            continue
         figures[f"{prefix}.feature_seconds"] = _mean([t.feature_seconds for t in trials], "s")
         figures[f"{prefix}.update_seconds"] = _mean([t.update_seconds for t in trials], "s")
         figures[f"{prefix}.segment_seconds"] = _mean([t.segment_seconds for t in trials], "s")
@@ -177,11 +179,11 @@ def _write_tables(runs: Runs, options: argparse.Namespace, command: str) -> None
 def _changes(rows: dict[str, list[Trial]]) -> str:
     """Return a Markdown table of what each change does to the four mAPs, run by run against ours."""
     names = HEADINGS[: len(MEAN_NAMES)]
-    lines = [f"| changed | {' | '.join(names)} | after the last frame |", f"| --- |{' ---: |' * (len(names) + 1)}"]
+    lines = [f"| changed | {' | '.join(names)} |", f"| --- |{' ---: |' * len(names)}"]
     for method, trials in rows.items():
         reference = None if method == OURS else rows[OURS]
         means = [cell(_points(trials, name, reference), 1, signed=reference is not None) for name in MEAN_NAMES]
-        lines.append(f"| {method} | {' | '.join(means)} | {cell([t.update_seconds for t in trials], 2)} |")
+        lines.append(f"| {method} | {' | '.join(means)} |")
     return "\n".join(lines) + "\n"
 
 

@@ -281,6 +281,7 @@ def test_training_that_is_interrupted_says_how_to_go_on(trained, tmp_path):
         stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONPATH": path},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background shell ignores it
     )
     try:
         deadline = time.monotonic() + 120

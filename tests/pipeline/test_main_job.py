@@ -115,6 +115,7 @@ def test_ctrl_c_ends_cleanly_and_says_how_to_go_on(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-m", "icub_core.cli", "run", "policy=demonstrations"],
         cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=dict(os.environ),
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background shell ignores it
     )  # fmt: skip
     assert process.stderr is not None
     assert process.stderr.readline().startswith("run folder:")
