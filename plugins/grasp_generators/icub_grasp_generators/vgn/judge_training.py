@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -15,7 +14,7 @@ from torch.nn import functional
 from icub_core.data import PointCloud
 from icub_core.errors import DataError
 from icub_grasp_generators.clouds import center_of, thin
-from icub_grasp_generators.vgn.checkpoints import restore, save
+from icub_grasp_generators.vgn.descent import descend
 from icub_grasp_generators.vgn.figures import area_under_curve
 from icub_grasp_generators.vgn.judge import HandJudge, around_hand, facts_of, heights
 from icub_grasp_generators.vgn.palm import from_palm
@@ -98,30 +97,24 @@ def fit_judge(
     """Do gradient steps on the scenes that are not held out for `seconds` over all calls."""
     torch.manual_seed(seed)
     judge = HandJudge()
-    checkpoint = run_dir / JUDGE_CHECKPOINT
     optimiser = torch.optim.AdamW(judge.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
-    step, spent = restore(checkpoint, judge, optimiser)
     taught = [scene for scene in scenes if not scene.held_out]
     cases = cases_of(taught, seed, lambda share: progress(0.0, f"judge: looking at trials, {share:.0%}"))
-    begun = saved = time.monotonic()
-    running = np.nan
-    while (used := spent + time.monotonic() - begun) < seconds or step == 0:
-        share = min(used / seconds, 1.0)
-        for group in optimiser.param_groups:
-            group["lr"] = LEARNING_RATE * 0.5 * (1 + np.cos(np.pi * share))
+
+    def loss_of_step(step: int) -> torch.Tensor:
         part = np.random.default_rng([seed, step]).integers(len(cases.label), size=BATCH)
-        logits = judge.train()(*cases.inputs(part))
-        loss = functional.binary_cross_entropy_with_logits(logits, torch.from_numpy(cases.label[part]))
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        step += 1
-        running = loss.item() if np.isnan(running) else 0.98 * running + 0.02 * loss.item()
-        progress(share, f"judge: step {step}, loss {running:.3f}")
-        if time.monotonic() - saved > CHECKPOINT_SECONDS:
-            save(checkpoint, judge, optimiser, step, used)
-            saved = time.monotonic()
-    save(checkpoint, judge, optimiser, step, max(spent, used))
+        logits = judge(*cases.inputs(part))
+        return functional.binary_cross_entropy_with_logits(logits, torch.from_numpy(cases.label[part]))
+
+    descend(
+        judge.train(),
+        optimiser,
+        run_dir / JUDGE_CHECKPOINT,
+        seconds,
+        loss_of_step,
+        lambda share, text: progress(share, f"judge: {text}"),
+        save_every=CHECKPOINT_SECONDS,
+    )
     return judge.eval().requires_grad_(False)
 
 

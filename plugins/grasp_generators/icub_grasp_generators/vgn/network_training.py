@@ -6,7 +6,6 @@ the trials' clouds, several a scene.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import torch
 from torch.nn import functional
 
 from icub_core.errors import DataError
-from icub_grasp_generators.vgn.checkpoints import restore, save
+from icub_grasp_generators.vgn.descent import descend
 from icub_grasp_generators.vgn.figures import area_under_curve
 from icub_grasp_generators.vgn.network import GRIPPER, VgnNetwork, load_network
 from icub_grasp_generators.vgn.samples import Batch, Draw, collate, draw
@@ -40,14 +39,20 @@ def loss_of(out: torch.Tensor, batch: Batch, pose: str) -> torch.Tensor:
     Rotations that differ by half a turn about the approach are the same grasp of a gripper, but not of a hand.
     """
     quality = functional.binary_cross_entropy_with_logits(out[:, 0], batch.label)
-    turned = functional.normalize(out[:, 1:5], dim=1)
-    cosine = (turned * batch.quaternion).sum(dim=1).abs()
-    rotation, width = 1.0 - cosine, torch.zeros_like(cosine)
+    rotation = 1.0 - _agreement(out, batch, pose)
+    width = torch.zeros_like(rotation)
     if pose == GRIPPER:
-        other = _times(batch.quaternion, _TURN_ABOUT_Z)
-        rotation = torch.minimum(rotation, 1.0 - (turned * other).sum(dim=1).abs())
         width = WIDTH_WEIGHT * (out[:, 5] - batch.width) ** 2
     return quality + (batch.label * (rotation + width)).mean()
+
+
+def _agreement(out: torch.Tensor, batch: Batch, pose: str) -> torch.Tensor:
+    """Return cosines (G,) of half the angles between predicted and tried rotations, of two equal ones the larger."""
+    turned = functional.normalize(out[:, 1:5], dim=1)
+    cosine = (turned * batch.quaternion).sum(dim=1).abs()
+    if pose == GRIPPER:
+        cosine = torch.maximum(cosine, (turned * _times(batch.quaternion, _TURN_ABOUT_Z)).sum(dim=1).abs())
+    return cosine
 
 
 def _times(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -88,28 +93,22 @@ def fit(
     network = VgnNetwork() if start_from is None else load_network(str(start_from))[0]
     network.requires_grad_(True).train()
     optimiser = torch.optim.Adam(network.parameters(), lr=LEARNING_RATE)
-    checkpoint = run_dir / f"{name}.checkpoint.safetensors"
-    step, spent = restore(checkpoint, network, optimiser)
     fields = Fields(taught, pose, seed)
-    begun = saved = time.monotonic()
-    running = np.nan
-    while (used := spent + time.monotonic() - begun) < seconds or step == 0:
-        share = min(used / seconds, 1.0)
-        for group in optimiser.param_groups:
-            group["lr"] = LEARNING_RATE * 0.5 * (1 + np.cos(np.pi * share))
+
+    def loss_of_step(step: int) -> torch.Tensor:
         batch = fields.batch(step)
-        loss = loss_of(network.at_voxels(batch.tsdf, batch.scene, batch.index), batch, pose)
-        optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), LARGEST_GRADIENT)
-        optimiser.step()
-        step += 1
-        running = loss.item() if np.isnan(running) else 0.98 * running + 0.02 * loss.item()
-        progress(share, f"{name}: step {step}, loss {running:.3f}")
-        if time.monotonic() - saved > CHECKPOINT_SECONDS:
-            save(checkpoint, network, optimiser, step, used)
-            saved = time.monotonic()
-    save(checkpoint, network, optimiser, step, max(spent, used))
+        return loss_of(network.at_voxels(batch.tsdf, batch.scene, batch.index), batch, pose)
+
+    descend(
+        network,
+        optimiser,
+        run_dir / f"{name}.checkpoint.safetensors",
+        seconds,
+        loss_of_step,
+        lambda share, text: progress(share, f"{name}: {text}"),
+        save_every=CHECKPOINT_SECONDS,
+        largest_gradient=LARGEST_GRADIENT,
+    )
     network.eval()
     return network.requires_grad_(False)
 
@@ -161,10 +160,7 @@ def evaluate(network: VgnNetwork, scenes: list[TriedScene], pose: str, seed: int
     for start in range(0, len(draws), SCENES_PER_STEP):
         batch = collate(draws[start : start + SCENES_PER_STEP])
         out = network.at_voxels(batch.tsdf, batch.scene, batch.index)
-        turned = functional.normalize(out[:, 1:5], dim=1)
-        cosine = (turned * batch.quaternion).sum(dim=1).abs()
-        if pose == GRIPPER:
-            cosine = torch.maximum(cosine, (turned * _times(batch.quaternion, _TURN_ABOUT_Z)).sum(dim=1).abs())
+        cosine = _agreement(out, batch, pose)
         logits.append(out[:, 0].numpy())
         labels.append(batch.label.numpy() > 0.5)
         angles.append(np.degrees(2 * np.arccos(np.clip(cosine.numpy(), 0.0, 1.0)))[labels[-1]])
