@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from icub_core import registry
 from icub_core.data import RgbdFrame
 from icub_core.geometry import invert, look_at
-from icub_core.pipeline.pictures import captioned, contact_sheet
+from icub_pipelines.images import captioned, contact_sheet
 from icub_core.scene import CameraView, Table
 
 FILMED = 12
@@ -51,7 +51,7 @@ def wireframe(canvas: Image, shape: object, frame: RgbdFrame, colour: tuple[int,
 
 def superquadric() -> None:
     """From a camera's cloud to a hand pose: mask, fitted superquadric, chosen pose, seen from elsewhere."""
-    from icub_core.grasping.plan import GraspPlan, plan_grasp
+    from icub_tasks.grasping.plan import GraspPlan, plan_grasp
     from icub_grasp_generators.superquadrics.fit import fit_superquadric
 
     (item,) = ycb("006_mustard_bottle")
@@ -131,9 +131,9 @@ def grasps() -> None:
 
 def grasp() -> None:
     """A scripted grasp in six pictures."""
-    from icub_core.grasping.env import GraspEnv
-    from icub_core.grasping.evaluation import evaluate
-    from icub_core.grasping.task import CONTROL_STEP, GraspTask
+    from icub_tasks.grasping.env import GraspEnv
+    from icub_tasks.grasping.evaluation import evaluate
+    from icub_tasks.grasping.task import CONTROL_STEP, GraspTask
 
     (item,) = ycb("006_mustard_bottle")
     studio = Studio.open([item])

@@ -13,7 +13,7 @@ import numpy as np
 from studio import Image, save_gif, save_png
 
 from icub_core import registry
-from icub_core.pipeline.pictures import captioned, colour_of, contact_sheet, draw_instances
+from icub_pipelines.images import captioned, colour_of, contact_sheet, draw_instances
 
 
 def feature_task() -> None:

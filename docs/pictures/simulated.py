@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from studio import FLOOR, WALL, WOOD, Image, Studio, save_png, ycb
 
 from icub_core import registry
-from icub_core.pipeline.pictures import captioned, contact_sheet
+from icub_pipelines.images import captioned, contact_sheet
 from icub_core.scene import Light, Scene, Table
 
 

@@ -3,7 +3,7 @@
 import pytest
 from icub_top_down import TopDown
 
-from icub_core.testing.contracts import GraspGeneratorContract
+from icub_testing.contracts import GraspGeneratorContract
 
 
 class TestTopDown(GraspGeneratorContract):

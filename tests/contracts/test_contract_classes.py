@@ -7,12 +7,12 @@ import sys
 import pytest
 
 from icub_core.errors import ContractError
-from icub_core.testing.contracts import ObjectSetContract
+from icub_testing.contracts import ObjectSetContract
 
 TEST_FILE = """
 import pytest
-from icub_core.testing.contracts import ObjectSetContract
-from icub_core.testing.tiny.things import TinyObjects
+from icub_testing.contracts import ObjectSetContract
+from icub_testing.tiny.things import TinyObjects
 
 class Repeats(TinyObjects):
     names = ("red", "red")

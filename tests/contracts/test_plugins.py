@@ -7,8 +7,8 @@ import pytest
 from icub_core.commands.plugins import every_plugin
 from icub_core.kinds import KINDS
 from icub_core.registry import PluginInfo
-from icub_core.testing.checks import checks
-from icub_core.testing.company import with_tiny_company
+from icub_testing.checks import checks
+from icub_testing.fakes import with_tiny_company
 
 TESTS = Path(__file__).resolve().parents[1]
 WITH_THEIR_DATA = {
@@ -51,7 +51,7 @@ def test_the_contract_is_run_elsewhere(plugin):
     place = TESTS / WITH_THEIR_DATA[plugin.kind]
     files = [place] if place.is_file() else sorted(place.rglob("*.py"))
     text = "\n".join(file.read_text(encoding="utf-8") for file in files)
-    assert "icub_core.testing.c" in text, "neither the checks nor the contract classes are imported there"
+    assert "icub_testing.c" in text, "neither the checks nor the contract classes are imported there"
     assert plugin.target.partition(":")[2] in text, f"{plugin.target} is not named in {place}"
 
 

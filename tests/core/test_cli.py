@@ -16,7 +16,7 @@ from icub_core import __version__
 from icub_core.cli import COMMANDS, main
 from icub_core.commands.completion import SCRIPTS, candidates
 from icub_core.errors import DataError, IcubError
-from icub_core.testing.tiny import TINY
+from icub_testing.tiny import TINY
 
 HEAVY = {
     "torch",
@@ -245,7 +245,7 @@ def test_a_broken_third_party_plugin_disturbs_neither_lists_nor_runs(runs, insta
 
 TRAINED = """
 import json, time
-from icub_core.testing.tiny.skills import TinyPolicy
+from icub_testing.tiny.skills import TinyPolicy
 class Trained(TinyPolicy):
     \"\"\"Closes the hand as it was trained to.\"\"\"
     @classmethod
@@ -328,7 +328,7 @@ def test_checking_a_good_plugin_gives_0_and_a_bad_one_1(tiny, install, capsys):
     assert main(["plugins", "check", "objects", "tiny"]) == 0
     assert "7 of 7 kept" in capsys.readouterr().out
     source = (
-        "from icub_core.testing.tiny.things import TinyObjects\nclass Bad(TinyObjects):\n    names = ('red', 'red')\n"
+        "from icub_testing.tiny.things import TinyObjects\nclass Bad(TinyObjects):\n    names = ('red', 'red')\n"
     )
     install("bad", {"icub.objects": {"bad": "bad_module:Bad"}}, {"bad_module.py": source})
     assert main(["plugins", "check", "objects", "bad"]) == 1

@@ -11,11 +11,11 @@ from icub_core.config.folders import config_folders, groups
 from icub_core.config.settings import build_scene, to_dataclass
 from icub_core.errors import ConfigError, PluginError
 from icub_core.kinds import KINDS
-from icub_core.testing.tiny import TINY
+from icub_testing.tiny import TINY
 
 TINY_WORLD = [f"{kind}=tiny" for kind in ("simulator", "robot", "objects", "grasp_generator")]
 COMPOSED = """
-from icub_core.testing.tiny.perception import TinySegmenter
+from icub_testing.tiny.perception import TinySegmenter
 class Composed(TinySegmenter):
     def __init__(self, feature_extractor, online_head, least_pixels: int = 5, seed: int = 0):
         super().__init__(least_pixels=least_pixels)
@@ -189,8 +189,8 @@ def test_an_assembly_builds_each_plugin_once_with_what_it_needs(tiny):
 
 def test_plugins_that_need_each_other_are_told(install):
     source = """
-from icub_core.testing.tiny.skills import TinyPolicy
-from icub_core.testing.tiny.perception import TinySegmenter
+from icub_testing.tiny.skills import TinyPolicy
+from icub_testing.tiny.perception import TinySegmenter
 class A(TinyPolicy):
     def __init__(self, segmenter): ...
 class B(TinySegmenter):

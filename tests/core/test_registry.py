@@ -8,9 +8,9 @@ from icub_core import registry
 from icub_core.errors import ConfigError, PluginError
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.kinds import KINDS
-from icub_core.testing.tiny.perception import TinyFeatureExtractor, TinyHead
+from icub_testing.tiny.perception import TinyFeatureExtractor, TinyHead
 
-TINY_SEGMENTER = "icub_core.testing.tiny.perception:TinySegmenter"
+TINY_SEGMENTER = "icub_testing.tiny.perception:TinySegmenter"
 
 
 def test_finding_imports_no_plugin(install):
@@ -92,7 +92,7 @@ def test_two_distributions_with_one_name_are_refused_but_only_that_name(install)
 
 def test_dependencies_are_passed_and_heads_as_a_factory(install):
     source = """
-from icub_core.testing.tiny.perception import TinySegmenter
+from icub_testing.tiny.perception import TinySegmenter
 class Composed(TinySegmenter):
     def __init__(self, feature_extractor, online_head, least_pixels: int = 5):
         super().__init__(least_pixels=least_pixels)
@@ -102,7 +102,7 @@ class Composed(TinySegmenter):
         "third",
         {
             "icub.segmenter": {"composed": "composed_module:Composed"},
-            "icub.online_head": {"tiny": "icub_core.testing.tiny.perception:TinyHead"},
+            "icub.online_head": {"tiny": "icub_testing.tiny.perception:TinyHead"},
         },
         {"composed_module.py": source},
     )
@@ -124,7 +124,7 @@ def test_a_missing_dependency_names_the_choices():
 
 def test_a_constructor_that_fails_is_one_line(install):
     source = """
-from icub_core.testing.tiny.perception import TinySegmenter
+from icub_testing.tiny.perception import TinySegmenter
 class Fails(TinySegmenter):
     def __init__(self):
         self.missing

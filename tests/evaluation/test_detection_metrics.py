@@ -15,7 +15,7 @@ from icub_core.errors import ConfigError, DataError
 from icub_core.evaluation.detection import evaluate_instances
 from icub_core.evaluation.overlap import box_iou, mask_iou
 from icub_core.evaluation.proposals import average_recall, best_overlaps, recall
-from icub_core.evaluation.voc import average_precision, evaluate_voc
+from icub_benchmarks.segmentation.voc import average_precision, evaluate_voc
 
 H, W = 24, 32
 
@@ -246,7 +246,7 @@ def test_the_core_does_not_import_the_library_by_itself():
     import subprocess
 
     code = (
-        "import sys, icub_core.evaluation.detection, icub_core.evaluation.voc; print('faster_coco_eval' in sys.modules)"
+        "import sys, icub_core.evaluation.detection, icub_benchmarks.segmentation.voc; print('faster_coco_eval' in sys.modules)"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "False"

@@ -16,9 +16,9 @@ import torch
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import ConfigError, DataError, NotFittedError
 from icub_core.evaluation.detection import MEAN_NAMES
-from icub_core.evaluation.head_clock import clocked_heads, heads_share
-from icub_core.evaluation.trial import Trial, run_trial
-from icub_core.evaluation.trial_report import markdown_table, plot_over_time
+from icub_benchmarks.segmentation.head_clock import clocked_heads, heads_share
+from icub_benchmarks.segmentation.trial import Trial, run_trial
+from icub_benchmarks.segmentation.trial_report import markdown_table, plot_over_time
 from icub_core.geometry import pinhole
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
@@ -142,7 +142,7 @@ def trial_with(map50, update_seconds, map70=0.5):
 
 
 def test_the_benchmark_reports_means_deviations_and_ratios_run_by_run(benchmark):
-    from _segmentation_trials import Run
+    from icub_benchmarks.segmentation.trials import Run
 
     def runs(*trials):
         return [Run(trial, 0.1) for trial in trials]

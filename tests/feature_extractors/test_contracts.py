@@ -9,7 +9,7 @@ import pytest
 import torch
 from torchvision.models.detection import maskrcnn_resnet50_fpn
 
-from icub_core.testing.contracts import DatasetContract, FeatureExtractorContract
+from icub_testing.contracts import DatasetContract, FeatureExtractorContract
 from icub_datasets.feature_task import cache
 from icub_datasets.feature_task.renderer import LabelledImage
 from icub_datasets.feature_task.task import FeatureTask

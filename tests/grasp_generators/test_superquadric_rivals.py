@@ -12,7 +12,7 @@ import pytest
 from icub_core.errors import ConfigError
 from icub_grasp_generators.synthetic_clouds import single_view
 
-FILE = Path(__file__).parents[2] / "benchmarks" / "_superquadric_rivals.py"
+FILE = Path(__file__).parents[2] / "benchmarks" / "icub_benchmarks.grasps.baselines.py"
 
 FAKE = """
 import numpy as np
@@ -34,9 +34,9 @@ def rivals(monkeypatch):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setattr(np, "int", int, raising=False)
     monkeypatch.setattr(sys, "path", list(sys.path))
-    spec = importlib.util.spec_from_file_location("_superquadric_rivals", FILE)
+    spec = importlib.util.spec_from_file_location("icub_benchmarks.grasps.baselines", FILE)
     module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "_superquadric_rivals", module)
+    monkeypatch.setitem(sys.modules, "icub_benchmarks.grasps.baselines", module)
     spec.loader.exec_module(module)
     yield module
     for name in ("EMS", "EMS.EMS_recovery", "mayavi", "plyfile"):

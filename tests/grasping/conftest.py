@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from icub_core import registry
-from icub_core.grasping.task import GraspTask
+from icub_tasks.grasping.task import GraspTask
 from icub_core.scene import Scene
 
 MakeTasks = Callable[..., list[GraspTask]]

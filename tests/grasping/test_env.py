@@ -10,13 +10,13 @@ from gymnasium.utils.env_checker import check_env
 from torchrl.envs.utils import check_env_specs
 
 from icub_core.errors import ConfigError, SimulationError
-from icub_core.grasping.env import GraspEnv
-from icub_core.grasping.evaluation import evaluate
-from icub_core.grasping.gym_adapter import GymGraspEnv
-from icub_core.grasping.spaces import ACTION_SIZE, OBSERVATION_SIZES
-from icub_core.grasping.task import GraspTask
-from icub_core.grasping.termination import EndReason
-from icub_core.grasping.visual import VisualEncoder, flare
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.evaluation import evaluate
+from icub_tasks.grasping.gym_adapter import GymGraspEnv
+from icub_tasks.grasping.spaces import ACTION_SIZE, OBSERVATION_SIZES
+from icub_tasks.grasping.task import GraspTask
+from icub_tasks.grasping.termination import EndReason
+from icub_tasks.grasping.visual import VisualEncoder, flare
 from icub_core.interfaces.policy import Policy
 from icub_core.interfaces.simulator import Fault
 from icub_policies.demonstrations import Demonstrations
@@ -178,7 +178,7 @@ def test_a_saved_environment_goes_on_as_if_nothing_had_happened(tasks):
 
 
 def test_the_time_limit_is_a_truncation_and_costs_one(make_tasks):
-    from icub_core.grasping.task import TaskSettings
+    from icub_tasks.grasping.task import TaskSettings
 
     results = evaluate(Still(), GraspEnv(make_tasks(settings=TaskSettings(max_steps=5))), episodes=1)
     assert results.ends() == {"time_limit": 1}

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from icub_core.grasping.governor import SafetyGovernor
+from icub_core.governor import SafetyGovernor
 
 LOWER, UPPER = np.array([-1.0, 0.0, -0.2]), np.array([1.0, 3.0, 0.2])
 SPEED, ACCELERATION = np.array([2.0, 16.0, 0.5]), np.array([20.0, 600.0, 3.0])

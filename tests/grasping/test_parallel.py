@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from icub_core import registry
-from icub_core.grasping import parallel
-from icub_core.grasping.evaluation import EpisodeResults, evaluate
-from icub_core.grasping.parallel import EnvRecipe, evaluate_in_workers
-from icub_core.grasping.termination import FIRST_FAULT, EndReason
+from icub_benchmarks import parallel
+from icub_tasks.grasping.evaluation import EpisodeResults, evaluate
+from icub_benchmarks.parallel import EnvRecipe, evaluate_in_workers
+from icub_tasks.grasping.termination import FIRST_FAULT, EndReason
 
 
 def results_of(episodes):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from icub_core.grasping.reward import GraspReward
+from icub_tasks.grasping.reward import GraspReward
 
 NO = np.array([False])
 YES = np.array([True])

@@ -9,8 +9,8 @@ from icub_core import registry
 from icub_core.data import Grasp
 from icub_core.errors import ConfigError
 from icub_core.geometry import make_transform, quat_wxyz_to_matrix
-from icub_core.grasping.judging import Judge, Pose
-from icub_core.grasping.validate import Verdict, plan_trial, run_trial
+from icub_benchmarks.grasps.judging import Judge, Pose
+from icub_benchmarks.grasps.validate import Verdict, plan_trial, run_trial
 from icub_core.scene import Scene
 
 NAME = "010_potted_meat_can"

@@ -28,7 +28,7 @@ def test_the_small_size_measures_every_figure_that_is_to_be_reached(tmp_path, mo
 
 def test_a_whole_sweep_is_drawn_and_varies_one_number_at_a_time(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(PATH.parent))
-    sweep = importlib.import_module("_heads_sweep")
+    sweep = importlib.import_module("icub_benchmarks.heads.sweep")
     wanted = sweep.solves(sweep.Sizes())
     assert len(wanted) == sum(map(len, sweep.AXES.values())) - 3
     for solve in wanted:

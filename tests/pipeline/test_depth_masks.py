@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from icub_core.data import RgbdFrame
-from icub_core.pipeline.depth_masks import CoherentMasks, closest_blob, overlap
+from icub_pipelines.depth_masks import CoherentMasks, closest_blob, overlap
 
 
 def room(height=120, width=160):

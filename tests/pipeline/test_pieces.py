@@ -9,14 +9,14 @@ from tensordict import TensorDict
 
 from icub_core.data import Instance
 from icub_core.geometry import is_rigid
-from icub_core.grasping.termination import EndReason
+from icub_tasks.grasping.termination import EndReason
 from icub_core.hooks import Events, listen
-from icub_core.pipeline.appearance import random_lights, random_surface
-from icub_core.pipeline.context import RunContext
-from icub_core.pipeline.grasping import Announcer
-from icub_core.pipeline.pictures import contact_sheet, draw_instances, save_animation, save_picture
-from icub_core.pipeline.report import write_report
-from icub_core.pipeline.tabletop import scatter, standing_pose
+from icub_core.appearance import random_lights, random_surface
+from icub_pipelines.context import RunContext
+from icub_pipelines.grasping import Announcer
+from icub_pipelines.images import contact_sheet, draw_instances, save_animation, save_picture
+from icub_pipelines.report import write_report
+from icub_pipelines.tabletop import scatter, standing_pose
 from icub_core.scene import Geom, ObjectSpec
 
 

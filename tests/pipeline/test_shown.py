@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from icub_core.pipeline.settings import SHOWN, SeeSettings, grasped, shown
-from icub_core.pipeline.shown import shown_and_seen
+from icub_pipelines.settings import SHOWN, SeeSettings, grasped, shown
+from icub_benchmarks.segmentation.recording import shown_and_seen
 
 FOLDER = ("bowl", "cup", "fork", "mug", "pan", "plate")
 

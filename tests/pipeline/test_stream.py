@@ -8,9 +8,9 @@ import pytest
 
 from icub_core.errors import ConfigError, DataError, NotFittedError
 from icub_core.interfaces.segmenter import UpdateReport
-from icub_core.pipeline.stream import StreamTeacher
-from icub_core.testing.tiny import tiny_class
-from icub_core.testing.tiny.things import draw_frame
+from icub_pipelines.stream import StreamTeacher
+from icub_testing.tiny import tiny_class
+from icub_testing.tiny.things import draw_frame
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.online_segmenter import OnlineSegmenter
 

@@ -9,7 +9,7 @@ import pytest
 
 from icub_core.cli import main
 from icub_core.data import Instance
-from icub_core.pipeline.classroom import identities, mistakes, recognised
+from icub_pipelines.teaching_session import identities, mistakes, recognised
 
 
 def instance(label, rows, score=1.0):

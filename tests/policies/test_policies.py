@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tensordict import TensorDict
 
 from icub_core.errors import CheckpointError, ConfigError, WeightsError
-from icub_core.grasping.spaces import OBSERVATION_SIZES, PLAN, PLAN_SIZE
+from icub_tasks.grasping.spaces import OBSERVATION_SIZES, PLAN, PLAN_SIZE
 from icub_policies import checkpoint
 from icub_policies.demonstrations import Demonstrations
 from icub_policies.features import PROPRIOCEPTIVE_SIZE, features

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from icub_core import registry
-from icub_core.grasping.env import GraspEnv
-from icub_core.grasping.evaluation import evaluate
-from icub_core.grasping.task import GraspTask
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.evaluation import evaluate
+from icub_tasks.grasping.task import GraspTask
 from icub_core.scene import Scene
 from icub_policies.demonstrations import Demonstrations
 from icub_policies.gpayn import Gpayn

@@ -13,9 +13,9 @@ from tensordict import TensorDict
 
 from icub_core import registry
 from icub_core.errors import ConfigError
-from icub_core.grasping.env import GraspEnv
-from icub_core.grasping.spaces import OBSERVATION_SIZES, PLAN, PLAN_SIZE, VISUAL
-from icub_core.grasping.visual import PictureEncoder, VisualEncoder, flare
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.spaces import OBSERVATION_SIZES, PLAN, PLAN_SIZE, VISUAL
+from icub_tasks.grasping.visual import PictureEncoder, VisualEncoder, flare
 from icub_policies.features import PROPRIOCEPTIVE_SIZE, STACK, features
 from icub_policies.gpayn import Gpayn
 from icub_policies.replay import CUT, RUNNING, TERMINAL, Replay

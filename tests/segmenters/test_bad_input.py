@@ -10,8 +10,8 @@ from icub_core.errors import CheckpointError, DataError
 from icub_core.evaluation.detection import evaluate_instances
 from icub_core.geometry import pinhole
 from icub_core.interfaces.feature_extractor import RpnCells
-from icub_core.testing.tiny import tiny_class
-from icub_core.testing.tiny.things import draw_frame
+from icub_testing.tiny import tiny_class
+from icub_testing.tiny.things import draw_frame
 from icub_segmenters.baselines.linear_softmax import LinearSoftmax
 from icub_segmenters.baselines.mask_rcnn import MaskRcnn
 from icub_segmenters.baselines.o_os import OnlineObjectSegmentation

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from icub_core.errors import NotFittedError
-from icub_core.testing.tiny import tiny_class
-from icub_core.testing.tiny.things import draw_frame
+from icub_testing.tiny import tiny_class
+from icub_testing.tiny.things import draw_frame
 from icub_segmenters.baselines.linear_softmax import LinearSoftmax, SoftmaxDetector
 from icub_segmenters.baselines.ours_serial import OursSerial
 from icub_segmenters.heads.linear import Linear

@@ -7,8 +7,8 @@ import torch
 from icub_core.errors import CheckpointError, NotFittedError
 from icub_core.evaluation.proposals import best_overlaps, recall
 from icub_core.interfaces.feature_extractor import RpnCells
-from icub_core.testing.tiny import tiny_class
-from icub_core.testing.tiny.things import draw_frame
+from icub_testing.tiny import tiny_class
+from icub_testing.tiny.things import draw_frame
 from icub_segmenters import shared_rpn
 from icub_segmenters.faithful_rpn import FaithfulRpn, label_anchors
 from icub_segmenters.heads.falkon import Falkon

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from icub_core.errors import ConfigError, DataError
 from icub_core.geometry import quat_wxyz_to_matrix, rotation_exp
 from icub_core.scene import Scene
-from icub_core.testing.checks import checks
+from icub_testing.checks import checks
 from icub_simulators.decimation import decimate
 from icub_simulators.mujoco.simulator import Mujoco
 from icub_simulators.objects.folder import Folder

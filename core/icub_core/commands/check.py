@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from icub_core.errors import ConfigError
-from icub_core.testing.checks import run_checks
-from icub_core.testing.company import with_tiny_company
+from icub_testing.checks import run_checks
+from icub_testing.fakes import with_tiny_company
 
 
 def check_plugins(kind: str, names: Sequence[str], parameters: Mapping[str, Any] | None = None) -> int:

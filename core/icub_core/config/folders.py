@@ -17,10 +17,10 @@ OWN = "icub"
 """Name of this project's own entry point; its folder holds the primary ``config.yaml``."""
 
 TYPED_GROUPS = {
-    ("pipeline", "main"): "icub_core.pipeline.settings:MainSettings",
-    ("pipeline", "teach_by_showing"): "icub_core.pipeline.settings:ShowingSettings",
+    ("pipeline", "main"): "icub_pipelines.settings:MainSettings",
+    ("pipeline", "teach_by_showing"): "icub_pipelines.settings:ShowingSettings",
     ("scene", "tabletop"): "icub_core.config.settings:SceneSettings",
-    ("task", "grasp"): "icub_core.grasping.task:TaskSettings",
+    ("task", "grasp"): "icub_tasks.grasping.task:TaskSettings",
 }
 """Group and option to the dataclass whose fields are its keys."""
 

@@ -123,4 +123,4 @@ def pipeline_runner(name: str) -> Any:
     known = sorted(option for group, option in TYPED_GROUPS if group == "pipeline")
     if name not in known:
         raise ConfigError(unknown_name("pipeline", name, known))
-    return importlib.import_module(f"icub_core.pipeline.{name}").run
+    return importlib.import_module(f"icub_pipelines.{name}").run

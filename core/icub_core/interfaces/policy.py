@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDictBase
 
 if TYPE_CHECKING:
-    from icub_core.grasping.env import GraspEnv
+    from icub_tasks.grasping.env import GraspEnv
 
 Progress = Callable[[float, str], None]
 """Called with the finished share (0..1) and a short text."""
@@ -38,7 +38,7 @@ class Policy(ABC):
 
     @abstractmethod
     def act(self, observation: TensorDictBase) -> torch.Tensor:
-        """Return actions (B, 15) float32 in [-1, 1] for a batch of observations (see `icub_core.grasping.env`)."""
+        """Return actions (B, 15) float32 in [-1, 1] for a batch of observations (see `icub_tasks.grasping.env`)."""
 
     def learn(self, env: GraspEnv, run_dir: Path, progress: Progress) -> LearnReport:
         """Learn in `env` within the policy's own budget, with resumable checkpoints in `run_dir`.

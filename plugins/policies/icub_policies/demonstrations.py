@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDictBase
 
 from icub_core.errors import ConfigError
-from icub_core.grasping.spaces import (
+from icub_tasks.grasping.spaces import (
     ACTION_SIZE,
     FINGERS,
     PLAN,

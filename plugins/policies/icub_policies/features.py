@@ -11,7 +11,7 @@ import torch
 from tensordict import TensorDictBase
 
 from icub_core.errors import ConfigError
-from icub_core.grasping.spaces import FINGERS, HAND_POSE, OBJECT_CENTER, TOUCH, VISUAL
+from icub_tasks.grasping.spaces import FINGERS, HAND_POSE, OBJECT_CENTER, TOUCH, VISUAL
 
 WORKSPACE_CENTER = (-0.35, 0.0, 1.0)
 """Middle of the area in which objects stand, world, metres."""

@@ -14,9 +14,9 @@ import numpy as np
 from icub_core import registry
 from icub_core.evaluation.results import machine, versions
 from icub_core.files import write_text_atomically
-from icub_core.grasping.env import GraspEnv
-from icub_core.grasping.plan import GraspPlan
-from icub_core.grasping.task import GraspTask, StartState
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.plan import GraspPlan
+from icub_tasks.grasping.task import GraspTask, StartState
 from icub_core.interfaces.policy import Progress
 from icub_core.scene import Scene
 from icub_policies.gpayn import Gpayn

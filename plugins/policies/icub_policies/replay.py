@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import torch
 
-from icub_core.grasping.visual import HISTORY, flare
+from icub_tasks.grasping.visual import HISTORY, flare
 from icub_policies.features import STACK
 
 RUNNING, TERMINAL, CUT = 0, 1, 2

@@ -8,8 +8,8 @@ import torch
 from tensordict import TensorDictBase
 
 from icub_core.errors import CheckpointError
-from icub_core.grasping.env import GraspEnv
-from icub_core.grasping.spaces import ACTION_SIZE
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.spaces import ACTION_SIZE
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
 from icub_policies.checkpoint import load_into, read_tensors, write_tensors
 from icub_policies.features import features

@@ -15,10 +15,10 @@ import torch
 from tensordict import TensorDictBase
 
 from icub_core.errors import CheckpointError
-from icub_core.grasping.env import GraspEnv
-from icub_core.grasping.evaluation import run_episodes
-from icub_core.grasping.pool import StartPool
-from icub_core.grasping.task import StartState
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.evaluation import run_episodes
+from icub_tasks.grasping.pool import StartPool
+from icub_tasks.grasping.task import StartState
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
 from icub_policies.checkpoint import read_tensors, write_tensors
 from icub_policies.features import features

@@ -7,8 +7,8 @@ from pathlib import Path
 import torch
 
 from icub_core.errors import CheckpointError
-from icub_core.grasping.env import GraspEnv
-from icub_core.grasping.spaces import ACTION_SIZE, VISUAL
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.spaces import ACTION_SIZE, VISUAL
 from icub_policies.features import PROPRIOCEPTIVE_SIZE, STACK, other_pictures, visual_size
 from icub_policies.replay import Replay
 from icub_policies.sac import Sac

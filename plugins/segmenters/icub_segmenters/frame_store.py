@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import NotFittedError
-from icub_segmenters.lesson import check_masks
+from icub_segmenters.training_image import check_masks
 
 
 class FrameStore:

@@ -25,7 +25,7 @@ from icub_segmenters.clutter import Compositor, Cutout
 from icub_segmenters.detection import Detections, OnlineDetector
 from icub_segmenters.faithful_rpn import FaithfulRpn
 from icub_segmenters.heads.falkon import Falkon
-from icub_segmenters.lesson import Lesson, check_masks, stacked
+from icub_segmenters.training_image import Lesson, check_masks, stacked
 from icub_segmenters.mask_geometry import boxes_of_masks, paste_masks
 from icub_segmenters.masks import OnlineMasks, PretrainedMasks, pixel_features
 from icub_segmenters.minibootstrap import Minibootstrap

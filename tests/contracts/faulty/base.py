@@ -3,7 +3,7 @@
 from typing import Any
 
 from icub_core.kinds import KINDS
-from icub_core.testing.tiny import tiny_class
+from icub_testing.tiny import tiny_class
 
 FAULTY: dict[tuple[str, str], type] = {}
 

@@ -10,7 +10,7 @@ import torch
 from icub_core.data import Instance
 from icub_core.errors import CheckpointError
 from icub_core.interfaces.feature_extractor import RpnCells
-from icub_core.testing.tiny.perception import TinyFeatureExtractor, TinyHead, TinySegmenter
+from icub_testing.tiny.perception import TinyFeatureExtractor, TinyHead, TinySegmenter
 
 from .base import breaks
 

@@ -9,8 +9,8 @@ import torch
 
 from icub_core.data import Grasp, GraspProposals, PointCloud
 from icub_core.geometry import make_transform, rotation_about, rotation_exp
-from icub_core.grasping.spaces import HAND_POSE, OBJECT_CENTER
-from icub_core.testing.tiny.skills import TinyGraspGenerator, TinyPolicy
+from icub_tasks.grasping.spaces import HAND_POSE, OBJECT_CENTER
+from icub_testing.tiny.skills import TinyGraspGenerator, TinyPolicy
 
 from .base import breaks
 

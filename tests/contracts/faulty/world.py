@@ -7,9 +7,9 @@ import numpy as np
 from icub_core.data import Instance
 from icub_core.interfaces.robot import GazeSolution
 from icub_core.scene import Scene
-from icub_core.testing.tiny.robot import TinyRobot, _describe
-from icub_core.testing.tiny.simulator import TinySimulator
-from icub_core.testing.tiny.things import COLOURS, TinyDataset, TinyObjects
+from icub_testing.tiny.robot import TinyRobot, _describe
+from icub_testing.tiny.simulator import TinySimulator
+from icub_testing.tiny.things import COLOURS, TinyDataset, TinyObjects
 
 from .base import breaks
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from icub_core.geometry import look_at, make_transform, quat_wxyz_to_matrix, rotation_about
 from icub_core.interfaces.simulator import Rendering, Simulator
-from icub_core.pipeline import appearance
-from icub_core.pipeline.appearance import random_lights, random_surface
+from icub_core import appearance
+from icub_core.appearance import random_lights, random_surface
 from icub_core.scene import CameraView, ObjectSpec, Scene, Table
 from icub_datasets.rendered import objects
 from icub_datasets.rendered.base import RenderedDataset

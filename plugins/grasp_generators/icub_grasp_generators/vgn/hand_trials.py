@@ -16,11 +16,11 @@ import numpy as np
 from icub_core import registry
 from icub_core.data import Grasp, PointCloud
 from icub_core.geometry import FloatArray, look_at
-from icub_core.grasping.env import GraspEnv
-from icub_core.grasping.evaluation import run_episodes
-from icub_core.grasping.plan import FAR, GraspPlan
-from icub_core.grasping.spaces import pose_vector
-from icub_core.grasping.task import GraspTask, StartState, TaskSettings
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.evaluation import run_episodes
+from icub_tasks.grasping.plan import FAR, GraspPlan
+from icub_tasks.grasping.spaces import pose_vector
+from icub_tasks.grasping.task import GraspTask, StartState, TaskSettings
 from icub_core.interfaces.grasp_generator import GraspGenerator
 from icub_core.interfaces.robot import Robot
 from icub_core.interfaces.simulator import Simulator

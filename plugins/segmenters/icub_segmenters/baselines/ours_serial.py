@@ -12,7 +12,7 @@ from icub_core.errors import NotFittedError
 from icub_core.interfaces.feature_extractor import FeatureExtractor
 from icub_core.interfaces.online_head import OnlineHead
 from icub_core.interfaces.segmenter import UpdateReport
-from icub_segmenters.lesson import Lesson
+from icub_segmenters.training_image import Lesson
 from icub_segmenters.masks import OnlineMasks
 from icub_segmenters.online_segmenter import OnlineSegmenter
 from icub_segmenters.region_store import RegionStore

@@ -1,0 +1,1 @@
+"""icub_benchmarks."""

@@ -1,0 +1,196 @@
+"""Speed of the grasping environment over whole scripted episodes, one core, without rendering.
+
+    python benchmarks/environment.py
+
+`sim.env_steps_per_s`: control steps of 25 ms (five physics steps, inverse kinematics, governor, observation, reward,
+TensorDict, scripted policy) from the pre-grasp pose to the end of the episode. `sim.task_overhead`: what one step of
+the environment takes above the physics steps it contains, as a share of them; the policy is not part of it. Processor
+time of one thread; the starts are planned beforehand.
+
+`sim.scaling_2`: control steps a second of wall time of two processes at once (`icub_core.workers`) over those of one;
+`sim.scaling_2_limit`: the same of nothing but physics steps, in the engine's own loop: what the machine allows, with
+whatever else runs on it; `sim.scaling_2_threads`: of one environment whose worlds two threads step over the same with
+one thread.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: one core is measured
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import track
+
+from icub_core import registry
+from icub_core.evaluation.results import Figure, write_results
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.task import GraspTask, StartState
+from icub_core.scene import Scene
+from icub_core.workers import Workers
+
+RESULTS = Path(__file__).resolve().parent / "results" / "simulation.json"
+OBJECTS = ["004_sugar_box", "006_mustard_bottle", "010_potted_meat_can"]
+
+
+class Clock:
+    """Adds up the processor time of one method of an object."""
+
+    def __init__(self, owner: object, method: str) -> None:
+        self.seconds = 0.0
+        self._call = getattr(owner, method)
+        setattr(owner, method, self)
+
+    def __call__(self, *arguments: object) -> object:
+        """Call the method."""
+        begun = time.thread_time()
+        answer = self._call(*arguments)
+        self.seconds += time.thread_time() - begun
+        return answer
+
+
+def build(name: str, worlds: int, seed: int, threads: int = 1) -> tuple[GraspEnv, list[StartState]]:
+    """Return an environment with one object, and a planned start for each of its worlds."""
+    robot, generator = registry.build("robot", "icub"), registry.build("grasp_generator", "superquadrics")
+    spec = registry.build("objects", "ycb_primitives").get(name)
+    tasks = []
+    for world in range(worlds):
+        simulator = registry.build("simulator", "mujoco")
+        simulator.load(robot.description, Scene(objects=(spec,)))
+        tasks.append(GraspTask(simulator, robot, generator, [name], seed=seed + world))
+    starts = [task.prepare() for task in track(tasks, description=f"plans for {name}", transient=True)]
+    return GraspEnv(tasks, threads=threads), starts
+
+
+def play(env: GraspEnv, starts: Sequence[StartState], clock: Callable[[], float]) -> tuple[int, float, float]:
+    """Play every start to its end; returns control steps, seconds, and those of them inside the environment."""
+    teacher = registry.build("policy", "demonstrations")
+    for world, start in enumerate(starts):
+        env.begin(world, start)
+    observation = env.observe()
+    in_env, steps = 0.0, 0
+    active = [True] * len(starts)
+    begun = clock()
+    while any(active):
+        observation["action"] = teacher.act(observation)
+        before = clock()
+        observation = env.advance(observation, active)
+        in_env += clock() - before
+        steps += sum(active)
+        for world in torch.nonzero(observation["done"][:, 0])[:, 0].tolist():
+            active[world] = False
+    return steps, clock() - begun, in_env
+
+
+def measure(name: str, worlds: int, seed: int) -> tuple[float, float, int]:
+    """Return steps per second of whole episodes, the overhead share, and the control steps measured."""
+    env, starts = build(name, worlds, seed)
+    physics = Clock(env.batch, "simulate")  # once a control step of all worlds: watching takes no time to speak of
+    steps, total, in_env = play(env, starts, time.thread_time)
+    env.close()
+    return steps / total, in_env / physics.seconds - 1.0, steps
+
+
+class Player:
+    """Plays the same starts whenever it is asked. Lives in a worker process."""
+
+    def __init__(self, name: str, worlds: int) -> None:
+        torch.set_num_threads(1)
+        self._env, self._starts = build(name, worlds, seed=0)
+
+    def __call__(self, repeats: int) -> int:
+        """Play `repeats` times; returns the control steps."""
+        return sum(play(self._env, self._starts, time.perf_counter)[0] for _ in range(repeats))
+
+
+class Stepper:
+    """Does nothing but physics steps of one world, in the engine's loop. Lives in a worker process."""
+
+    def __init__(self, name: str) -> None:
+        env, (start,) = build(name, 1, seed=0)
+        self._simulator, self._start = env.batch.tasks[0].simulator, start
+
+    def __call__(self, repeats: int) -> int:
+        """Step `repeats` times 4000 steps from the same start; returns the steps."""
+        for _ in range(repeats):
+            self._simulator.restore_state(self._start.simulation)
+            for _ in range(4):
+                self._simulator.step(1000)
+        return 4000 * repeats
+
+
+def timed(workers: Workers[int, int], jobs: Sequence[int]) -> float:
+    """Return steps per second of wall time over jobs done at once."""
+    begun = time.perf_counter()
+    steps = workers.map(jobs)
+    return sum(step or 0 for step in steps) / (time.perf_counter() - begun)
+
+
+def scaling(options: argparse.Namespace) -> dict[str, Figure]:
+    """Measure two processes against one, and two threads against one, turn by turn."""
+    name, worlds = options.objects[0], options.worlds // 2
+    processes, limits, threads = [], [], []
+    with Workers(partial(Player, name, worlds), 2) as players, Workers(partial(Stepper, name), 2) as steppers:
+        players.map([1, 1])  # both are set up
+        steppers.map([1, 1])
+        for _ in track(range(options.repeats * 3), description="one and two processes", transient=True):
+            for workers, jobs, ratios in ((players, 2, processes), (steppers, 10, limits)):
+                alone = timed(workers, [jobs])
+                ratios.append(timed(workers, [jobs, jobs]) / alone)
+    single, starts = build(name, worlds, seed=0)
+    double = GraspEnv(single.batch.tasks, threads=2)
+    for _ in track(range(options.repeats * 3), description="one and two threads", transient=True):
+        steps, alone, _ = play(single, starts, time.perf_counter)
+        more, together, _ = play(double, starts, time.perf_counter)
+        threads.append(more / together / (steps / alone))
+    double.close()
+    return {
+        key: Figure(float(np.median(values)), "1", float(np.std(values)), len(values))
+        for key, values in (
+            ("sim.scaling_2", processes),
+            ("sim.scaling_2_limit", limits),
+            ("sim.scaling_2_threads", threads),
+        )
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--objects", nargs="+", default=OBJECTS)
+    parser.add_argument("--only", choices=["speed", "scaling"], help="measure this part alone")
+    parser.add_argument("--worlds", type=int, default=32)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    figures: dict[str, Figure] = {}
+    if options.only != "scaling":
+        rows = [
+            measure(name, options.worlds, options.seed + repeat)
+            for repeat in range(options.repeats)
+            for name in options.objects
+        ]
+        speeds, overheads, steps = (np.array(column) for column in zip(*rows, strict=True))
+        figures["sim.env_steps_per_s"] = Figure(float(speeds.mean()), "1/s", float(speeds.std()), int(steps.sum()))
+        figures["sim.task_overhead"] = Figure(float(overheads.mean()), "1", float(overheads.std()), int(steps.sum()))
+    if options.only != "speed":
+        figures |= scaling(options)
+    only = f" --only {options.only}" if options.only else ""
+    command = f"python benchmarks/environment.py{only}"
+    write_results(options.results, command=command, seed=options.seed, figures=figures)
+    for key, figure in figures.items():
+        Console().print(f"{key}: {figure.value:.4g} +- {figure.spread:.2g}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""The main job's teaching and examination as a pair of data sets, so that segmenters can be compared on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import cast
+
+import numpy as np
+
+from icub_core import registry
+from icub_core.data import Instance, RgbdFrame
+from icub_core.interfaces.dataset import Dataset
+from icub_core.interfaces.segmenter import Segmenter
+from icub_pipelines import seeing
+from icub_pipelines.settings import SeeSettings
+from icub_pipelines.tabletop import Tabletop, tabletop_pictures
+
+Sample = tuple[RgbdFrame, tuple[Instance, ...]]
+
+
+class Frames(Dataset):
+    """Frames that lie in memory."""
+
+    def __init__(self, samples: Sequence[Sample], classes: Sequence[str]) -> None:
+        """Take annotated frames whose labels are among `classes`."""
+        self._samples, self._classes = list(samples), tuple(classes)
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Class names in a fixed order."""
+        return self._classes
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self._samples)
+
+    def __getitem__(self, index: int) -> Sample:
+        """Frame and its instances."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        return self._samples[index]
+
+
+def shown_and_seen(
+    seed: int,
+    names: Sequence[str],
+    frames: int,
+    see: SeeSettings,
+    engine: str = "mujoco",
+    progress: Callable[[float, str], None] = lambda share, text: None,
+) -> tuple[Frames, Frames]:
+    """Show objects to the robot and take test pictures, as the stages teach and see do.
+
+    Args:
+        seed: Decides rooms, movements, arrangements and strangers.
+        names: What is shown, from the object set ``ycb_primitives``.
+        frames: Pictures of each.
+        see: How many test pictures and strangers.
+        engine: Registry name of the simulator.
+        progress: Called with the finished share and a text.
+
+    Returns:
+        Taught frames with masks from depth, and test frames with true masks of the taught objects.
+    """
+    rng = np.random.default_rng([seed, *b"shown"])
+    simulator, objects = registry.build("simulator", engine), registry.build("objects", "ycb_primitives")
+    robot = registry.build("robot", "icub").description
+    try:
+        notes = _Notebook()
+        targets = [objects.get(name) for name in names]
+        for number, spec in enumerate(targets):
+
+            def tell(share: float, text: str, number: int = number) -> None:
+                progress(0.7 * (number + share) / len(targets), text)
+
+            seeing.teach_object(simulator, robot, spec, cast(Segmenter, notes), frames, rng, tell)
+        others = seeing.strangers(objects, names, see.strangers, rng)
+        test = []
+        for frame, present in tabletop_pictures(simulator, targets, others, Tabletop(frames=see.frames), rng):
+            test.append((frame, tuple(i for i in present if i.label in names)))
+            progress(0.7 + 0.3 * len(test) / see.frames, f"{len(test)} of {see.frames} pictures")
+    finally:
+        simulator.close()
+    return Frames(notes.samples, names), Frames(test, names)
+
+
+class _Notebook:
+    """Stands where a segmenter would and writes down what it is shown."""
+
+    def __init__(self) -> None:
+        self.samples: list[Sample] = []
+
+    def observe(self, frame: RgbdFrame, instances: Sequence[Instance]) -> None:
+        self.samples.append((frame, tuple(instances)))

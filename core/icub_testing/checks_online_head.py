@@ -1,0 +1,119 @@
+"""Contract of on-line heads."""
+
+from __future__ import annotations
+
+import torch
+
+from icub_core.errors import CheckpointError, DataError, NotFittedError
+from icub_core.interfaces.online_head import OnlineHead
+from icub_testing.checks import Make
+from icub_testing.expect import expect, expect_close, expect_raises, expect_same, expect_tensor
+
+DIMENSIONS = 6
+REFIT_TOLERANCE = 0.05
+"""Scores of a used head may differ by its random numbers, far less than by what it was fitted to before."""
+
+
+def _data(seed: int = 0, problems: int = 2) -> tuple[torch.Tensor, torch.Tensor]:
+    """Draw two or more clouds far apart, +1 for a problem's own cloud and -1 for the rest."""
+    generator = torch.Generator().manual_seed(seed)
+    clouds = problems + 1  # the last one belongs to no problem
+    centers = 4.0 * torch.eye(DIMENSIONS)[:clouds]
+    X = torch.cat([center + 0.3 * torch.randn((30, DIMENSIONS), generator=generator) for center in centers])
+    owner = torch.arange(clouds).repeat_interleave(30)
+    Y = torch.where(owner[:, None] == torch.arange(problems), 1.0, -1.0)
+    return X, Y
+
+
+def _fitted(make: Make, seed: int = 0, problems: int = 2) -> OnlineHead:
+    head: OnlineHead = make()
+    head.fit(*_data(seed, problems))
+    return head
+
+
+def check_scores(make: Make) -> None:
+    """Scores are float32, a column a problem."""
+    for problems in (1, 3):
+        head = _fitted(make, problems=problems)
+        expect_tensor(head.decision_function(_data(1, problems)[0]), (30 * (problems + 1), problems), "scores")
+
+
+def check_learns(make: Make) -> None:
+    """Well separated clouds are told apart on new samples."""
+    X, Y = _data(1)
+    best = _fitted(make).decision_function(X)[:60].argmax(dim=1)
+    share = float((best == Y[:60].argmax(dim=1)).float().mean())
+    expect(share > 0.95, "more than 95 % of new samples right", f"{100 * share:.0f} %")
+    outside = float(_fitted(make).decision_function(X)[60:].max(dim=1).values.mean())
+    inside = float(_fitted(make).decision_function(X)[:60].max(dim=1).values.mean())
+    expect(
+        inside > outside, "higher scores for taught clouds than for the background", f"{inside:.3g} and {outside:.3g}"
+    )
+
+
+def check_unfitted(make: Make) -> None:
+    """Scores and state before fitting raise NotFittedError."""
+    expect_raises(NotFittedError, lambda: make().decision_function(_data()[0]), "before fit")
+    expect_raises(NotFittedError, lambda: make().state_dict(), "before fit")
+
+
+def check_forgets(make: Make) -> None:
+    """Fitting again forgets what was fitted before."""
+    head = _fitted(make, seed=5, problems=3)
+    head.fit(*_data())
+    X = _data(1)[0]
+    fresh = _fitted(make).decision_function(X)
+    expect_close(head.decision_function(X), fresh, REFIT_TOLERANCE, "scores of a fresh and of a used head")
+
+
+def check_repeatable(make: Make) -> None:
+    """The same data and seed give the same scores."""
+    X = _data(1)[0]
+    expect_same(
+        _fitted(make).decision_function(X), _fitted(make).decision_function(X), "scores of two heads fitted alike"
+    )
+
+
+def check_stateless_scores(make: Make) -> None:
+    """Scoring changes nothing: the same samples score the same later, alone and among others."""
+    head, X = _fitted(make), _data(1)[0]
+    first = head.decision_function(X)
+    head.decision_function(_data(2)[0] * 3)
+    expect_same(first, head.decision_function(X), "scores of the same samples")
+
+
+def check_inputs_unchanged(make: Make) -> None:
+    """Samples, targets and weights are not changed."""
+    X, Y = _data()
+    weight = torch.ones(len(X))
+    head = make()
+    head.fit(X, Y, weight)
+    head.decision_function(X)
+    expect_same(X, _data()[0], "samples before and after")
+    expect_same(Y, _data()[1], "targets before and after")
+    expect_same(weight, torch.ones(len(X)), "weights before and after")
+
+
+def check_not_finite(make: Make) -> None:
+    """NaN and infinite samples raise DataError."""
+    for value in (float("nan"), float("inf")):
+        X, Y = _data()
+        X[3, 2] = value
+        expect_raises(DataError, lambda X=X, Y=Y: make().fit(X, Y), f"for a sample with {value}")  # type: ignore[misc]
+
+
+def check_state_round_trip(make: Make) -> None:
+    """A head that takes over another one's state gives the same scores."""
+    head, other, X = _fitted(make), make(), _data(1)[0]
+    other.load_state_dict(head.state_dict())
+    expect_same(head.decision_function(X), other.decision_function(X), "scores after the state was taken over")
+
+
+def check_bad_state(make: Make) -> None:
+    """A state with other names or shapes raises CheckpointError and changes nothing."""
+    head, X = _fitted(make), _data(1)[0]
+    before = head.decision_function(X)
+    expect_raises(CheckpointError, lambda: head.load_state_dict({"nonsense": torch.zeros(3)}), "for a foreign state")
+    flat = {name: tensor.reshape(-1) for name, tensor in head.state_dict().items()}
+    expect_raises(CheckpointError, lambda: head.load_state_dict(flat), "for a state of other shapes")
+    expect_same(before, head.decision_function(X), "scores before and after a refused state")

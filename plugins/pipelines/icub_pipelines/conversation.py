@@ -1,0 +1,149 @@
+"""The interactive mode of teaching by showing: commands from a terminal, answers in a few lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+from icub_core.errors import ConfigError, IcubError, unknown_name
+from icub_core.interfaces.object_set import ObjectSet
+from icub_pipelines.teaching_session import Classroom, identities
+from icub_pipelines.images import draw_instances, save_picture
+from icub_pipelines.settings import ShowingSettings
+from icub_pipelines.tabletop import Tabletop
+from icub_core.scene import ObjectSpec
+
+HELP = """\
+teach NAME        show an object and learn it
+look [NAME ...]   put objects on the table and say what is seen; without names, some known and some unknown ones
+known             objects learned so far
+objects           objects that can be shown
+save              write what was learned into the run folder
+quit              save and leave (so does the end of the input)"""
+PROMPT = "icub> "
+
+
+def converse(
+    classroom: Classroom,
+    objects: ObjectSet,
+    unknown: Sequence[ObjectSpec],
+    settings: ShowingSettings,
+    ask: Callable[[str], str] = input,
+) -> None:
+    """Answer commands until ``quit`` or the end of the input; a wrong command gets one line and changes nothing.
+
+    Args:
+        classroom: Who teaches and learns.
+        objects: What can be shown, besides `unknown`.
+        unknown: Objects that stand about and can be taught, too.
+        settings: Frames of a lesson.
+        ask: Returns what was typed after a prompt; raises EOFError at the end of the input.
+    """
+    _Conversation(classroom, objects, unknown, settings).go_on(ask)
+
+
+class _Conversation:
+    def __init__(
+        self, classroom: Classroom, objects: ObjectSet, unknown: Sequence[ObjectSpec], settings: ShowingSettings
+    ) -> None:
+        self._classroom, self._settings = classroom, settings
+        self._specs = {name: objects.get(name) for name in objects.names} | {spec.name: spec for spec in unknown}
+        self._console = Console()
+        self._looks = 0
+        self._lessons = 0
+        self._commands = {
+            "teach": self._teach, "look": self._look, "known": self._known, "objects": self._objects,
+            "save": self._save, "help": self._help,
+        }  # fmt: skip
+
+    def go_on(self, ask: Callable[[str], str]) -> None:
+        if self._classroom.heads.is_dir():
+            self._classroom.segmenter.load(self._classroom.heads)
+            self._console.print(f"going on with what was learned in {self._classroom.heads}", soft_wrap=True)
+        self._console.print("type help for the commands")
+        while True:
+            try:
+                words = ask(PROMPT).split()
+            except EOFError:
+                words = ["quit"]
+            if words and words[0] in ("quit", "exit"):
+                break
+            if words:
+                try:
+                    self._answer(*words)
+                except IcubError as error:
+                    self._console.print(str(error), soft_wrap=True, markup=False)
+        self._save()
+        self._classroom.context.record(
+            {"showing.objects": len(self._classroom.segmenter.classes), "showing.lessons": self._lessons}
+        )
+
+    def _answer(self, command: str, *words: str) -> None:
+        if command not in self._commands:
+            raise ConfigError(unknown_name("command", command, [*self._commands, "quit"]))
+        if words and command not in ("teach", "look"):
+            raise ConfigError(f"{command} takes no names; got {' '.join(words)}")
+        self._commands[command](*words)
+
+    def _spec(self, name: str) -> ObjectSpec:
+        if name not in self._specs:
+            raise ConfigError(unknown_name("object", name, list(self._specs)))
+        return self._specs[name]
+
+    def _teach(self, *names: str) -> None:
+        if len(names) != 1:
+            raise ConfigError("teach needs the name of one object, such as: teach 004_sugar_box")
+        context = self._classroom.context
+        spec = self._spec(names[0])
+        self._lessons += 1
+        with context.stage("teach"):
+            rng = context.rng(f"teach {len(self._classroom.segmenter.classes)} {self._lessons}")
+            report, sample, seconds = self._classroom.teach(spec, self._settings.frames, rng)
+        picture = context.run_dir / f"taught_{self._lessons:02d}.png"
+        save_picture(picture, sample)
+        self._classroom.segmenter.save(self._classroom.heads)
+        self._console.print(
+            f"learned {spec.name}: {seconds:.1f} s in all, {report.seconds:.1f} s after the last frame; {picture}",
+            soft_wrap=True,
+        )
+
+    def _look(self, *names: str) -> None:
+        segmenter, context = self._classroom.segmenter, self._classroom.context
+        if not segmenter.classes:
+            raise ConfigError("nothing is known yet; expected: teach NAME first")
+        self._looks += 1
+        wanted = [self._spec(name) for name in names]
+        known = [self._specs[name] for name in segmenter.classes if name in self._specs]
+        if wanted:
+            known, other = wanted, []
+            tabletop = Tabletop(frames=1, targets=(len(wanted), len(wanted)))
+        else:
+            other, tabletop = [s for s in self._specs.values() if s.name not in segmenter.classes], Tabletop(frames=1)
+        with context.stage("look"):
+            looks = self._classroom.look(known, other, tabletop, context.rng(f"look {self._looks}"))
+            (found,) = self._classroom.recognise(looks)
+        frame, truth = looks[0]
+        table = Table("seen as", "score", "in truth")
+        shown = identities(found, truth)
+        for instance, name in shown:
+            table.add_row(instance.label, f"{instance.score:.2f}", name or "no single object")
+        picture = context.run_dir / f"look_{self._looks:02d}.png"
+        save_picture(picture, draw_instances(frame.rgb, [instance for instance, _ in shown]))
+        self._console.print(table)
+        self._console.print(f"on the table: {', '.join(t.label for t in truth)}; {picture}", soft_wrap=True)
+
+    def _known(self) -> None:
+        self._console.print(", ".join(self._classroom.segmenter.classes) or "nothing yet", soft_wrap=True)
+
+    def _objects(self) -> None:
+        self._console.print(", ".join(self._specs), soft_wrap=True)
+
+    def _save(self) -> None:
+        if self._classroom.segmenter.classes:
+            self._classroom.segmenter.save(self._classroom.heads)
+            self._console.print(f"saved in {self._classroom.heads}", soft_wrap=True)
+
+    def _help(self) -> None:
+        self._console.print(HELP, markup=False)

@@ -1,0 +1,121 @@
+"""A robot that learns objects one after another, and what it then makes of a table it looks at."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from icub_core.data import Instance, RgbdFrame
+from icub_core.evaluation.overlap import mask_iou
+from icub_core.interfaces.segmenter import Segmenter, UpdateReport
+from icub_core.interfaces.simulator import Simulator
+from icub_pipelines import seeing
+from icub_pipelines.context import RunContext
+from icub_pipelines.images import Image
+from icub_pipelines.tabletop import Tabletop, tabletop_pictures
+from icub_core.robot_description import RobotDescription
+from icub_core.scene import ObjectSpec
+
+SAME_OBJECT_IOU = 0.5
+"""A found mask that overlaps a true one by less is not about that object (the metric's lower threshold)."""
+
+Look = tuple[RgbdFrame, tuple[Instance, ...]]
+"""A picture and the true instances of everything in it."""
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """An object that was called by another's name."""
+
+    shown: str
+    taken_for: str
+    score: float
+
+
+@dataclass
+class Classroom:
+    """Who takes part: the simulator draws, the robot looks on, the segmenter learns."""
+
+    context: RunContext
+    simulator: Simulator
+    robot: RobotDescription
+    segmenter: Segmenter
+
+    @property
+    def heads(self) -> Path:
+        """Folder of the run in which what was learned is kept."""
+        return self.context.run_dir / "segmenter"
+
+    def teach(self, spec: ObjectSpec, frames: int, rng: np.random.Generator) -> tuple[UpdateReport, Image, float]:
+        """Show one object and learn it at once.
+
+        Returns:
+            The report of the update, a picture with the mask that was learned from, and seconds in all.
+        """
+        started = time.perf_counter()
+        _, sample = seeing.teach_object(
+            self.simulator, self.robot, spec, self.segmenter, frames, rng,
+            lambda share, text: self.context.progress(0.95 * share, text),
+        )  # fmt: skip
+        report = self.segmenter.update()
+        return report, sample, time.perf_counter() - started
+
+    def look(
+        self, known: Sequence[ObjectSpec], unknown: Sequence[ObjectSpec], tabletop: Tabletop, rng: np.random.Generator
+    ) -> list[Look]:
+        """Look at tables with known and unknown objects on them, in other rooms than the lessons'."""
+        looks = []
+        for number, picture in enumerate(tabletop_pictures(self.simulator, known, unknown, tabletop, rng)):
+            looks.append(picture)
+            self.context.progress((number + 1) / tabletop.frames, f"{number + 1} of {tabletop.frames} pictures")
+        return looks
+
+    def recognise(self, looks: Sequence[Look]) -> list[tuple[Instance, ...]]:
+        """Return what the segmenter finds in each picture, whatever its score."""
+        found = []
+        for number, (frame, _) in enumerate(looks):
+            found.append(self.segmenter.segment(frame))
+            self.context.progress((number + 1) / len(looks), f"{number + 1} of {len(looks)} pictures recognised")
+        return found
+
+
+def identities(found: Sequence[Instance], truth: Sequence[Instance]) -> list[tuple[Instance, str | None]]:
+    """Return what a user is shown of a picture, each with the name of the object that is truly there.
+
+    What is shown is the best instance of a class, where its score is above 0.
+
+    Args:
+        found: By the segmenter.
+        truth: Of all objects in the picture.
+
+    Returns:
+        Instances and names; None where no single object is there.
+    """
+    shown = seeing.confident(found)
+    overlaps = mask_iou([instance.mask for instance in shown], [instance.mask for instance in truth])
+    return [
+        (instance, truth[int(overlap.argmax())].label if len(truth) and overlap.max() >= SAME_OBJECT_IOU else None)
+        for instance, overlap in zip(shown, overlaps, strict=True)
+    ]
+
+
+def mistakes(found: Sequence[Instance], truth: Sequence[Instance]) -> list[Mistake]:
+    """Return the objects of a picture that were called by another's name; arguments as of `identities`."""
+    return [
+        Mistake(name, instance.label, instance.score)
+        for instance, name in identities(found, truth)
+        if name is not None and name != instance.label
+    ]
+
+
+def recognised(found: Sequence[Instance], truth: Sequence[Instance], name: str) -> bool | None:
+    """Whether a user would be shown object `name` where it is; None when it is not in the picture."""
+    there = [instance.mask for instance in truth if instance.label == name]
+    if not there:
+        return None
+    answers = [instance.mask for instance in seeing.confident(found) if instance.label == name]
+    return bool((mask_iou(answers, there) >= SAME_OBJECT_IOU).any())
