@@ -1,10 +1,10 @@
-"""Makes the pictures of the documentation with the project's own simulator and library calls.
+"""Makes the images of the documentation with the project's own simulator and library calls.
 
     python docs/make_pictures.py                         # all of them, several minutes
     python docs/make_pictures.py robot hands             # some
     python docs/make_pictures.py main_job --run runs/X   # from the folder of a run that was done before
 
-They lie in docs/images: PNGs of at most 150 kB, one GIF of at most 1.5 MB. docs/pictures holds how each is made.
+They lie in docs/images: PNGs of at most 150 kB, one GIF of at most 1.5 MB. docs/images holds how each is made.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent / "pictures"))
+sys.path.insert(0, str(Path(__file__).parent / "images"))
 
 from grasping import grasp, grasps, superquadric
 from seeing import corrected, datasets, feature_task, main_job
@@ -46,18 +46,18 @@ PICTURES: dict[str, Callable[[], None]] = {
 
 
 def main() -> None:
-    """Make the pictures named on the command line, or all."""
+    """Make the images named on the command line, or all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", metavar="NAME", nargs="*", help=", ".join(PICTURES))
     parser.add_argument("--run", type=Path, help="for main_job or corrected: folder of such a run")
     options = parser.parse_args()
     for name in options.names:
         if name not in PICTURES:
-            parser.error(f"no picture named '{name}'; known: {', '.join(PICTURES)}")
+            parser.error(f"no image named '{name}'; known: {', '.join(PICTURES)}")
     names = options.names or list(PICTURES)
     if len(names) > 1:  # a process each: the FEATURE-TASK's renderer and the simulator's need OpenGL in different ways
         if options.run:
-            parser.error("--run needs the name of the one picture that is made from the run")
+            parser.error("--run needs the name of the one image that is made from the run")
         for name in names:
             subprocess.run([sys.executable, __file__, name], check=True)
         return

@@ -32,10 +32,10 @@ from rich.progress import track
 
 from icub_core import registry
 from icub_core.evaluation.results import Figure, write_results
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.task import GraspTask, StartState
 from icub_core.scene import Scene
 from icub_core.workers import Workers
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.task import GraspTask, StartState
 
 RESULTS = Path(__file__).resolve().parent / "results" / "simulation.json"
 OBJECTS = ["004_sugar_box", "006_mustard_bottle", "010_potted_meat_can"]

@@ -128,8 +128,8 @@ def main() -> None:
             found = measure(extractor, data, count, lambda share, task=task: progress.update(task, completed=share))
             figures |= {f"{prefix}.{key}": Figure(value, "1", n=count) for key, value in found.items()}
         task = progress.add_task("teaching on-line networks", total=1.0)
-        lessons = load("dataset", NEW_OBJECTS)(split="train", frames=options.taught_frames)
-        rpns, times = taught_rpns(extractor, lessons, lambda share: progress.update(task, completed=share))
+        training_images = load("dataset", NEW_OBJECTS)(split="train", frames=options.taught_frames)
+        rpns, times = taught_rpns(extractor, training_images, lambda share: progress.update(task, completed=share))
         for name, rpn in rpns.items():
             task = progress.add_task(f"their proposals: {name}", total=1.0)
             own = WithProposals(extractor, rpn)

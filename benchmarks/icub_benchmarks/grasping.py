@@ -30,11 +30,11 @@ from rich.progress import Progress, TimeElapsedColumn
 from icub_core import registry
 from icub_core.evaluation.results import Figure, write_results
 from icub_core.files import write_text_atomically
+from icub_core.interfaces.policy import LearnReport, Policy
+from icub_core.scene import Scene
 from icub_tasks.grasping.env import GraspEnv
 from icub_tasks.grasping.evaluation import EpisodeResults, merge, paired_gain, run_episodes
 from icub_tasks.grasping.task import GraspTask, StartState
-from icub_core.interfaces.policy import LearnReport, Policy
-from icub_core.scene import Scene
 
 RESULTS = Path(__file__).resolve().parent / "results" / "grasping.json"
 EASY = ["004_sugar_box", "006_mustard_bottle", "010_potted_meat_can"]
@@ -60,7 +60,7 @@ def build_env(name: str, worlds: int, threads: int, seed: int) -> GraspEnv:
 
 
 class Tests:
-    """Test starts of one environment, planned once, each from its own picture."""
+    """Test starts of one environment, planned once, each from its own image."""
 
     def __init__(self, env: GraspEnv, episodes: int, bar: Progress) -> None:
         self._env, self._episodes, self._bar = env, episodes, bar
@@ -71,7 +71,7 @@ class Tests:
         for episode in bar.track(range(episodes), description=f"plans for {name}"):
             rng = np.random.default_rng([TEST_SEED, episode])
             self._starts.append(tasks[episode % len(tasks)].prepare(rng))
-        self.redraws = sum(sum(task.plan_failures.values()) for task in tasks) - before
+        self.resamples = sum(sum(task.plan_failures.values()) for task in tasks) - before
 
     def __call__(self, policy: Policy, title: str) -> EpisodeResults:
         """Evaluate a policy on all of them."""
@@ -98,19 +98,19 @@ def rate(results: EpisodeResults) -> Figure:
 
 def demonstrations(options: argparse.Namespace, bar: Progress) -> dict[str, Figure]:
     """Measure the scripted teacher on the easy objects."""
-    figures, everything, redraws = {}, [], 0
+    figures, everything, resamples = {}, [], 0
     for name in options.objects or EASY:
         env = build_env(name, options.worlds, options.threads, options.seed)
         tests = Tests(env, options.episodes, bar)
         results = tests(registry.build("policy", "demonstrations"), f"demonstrations, {name}")
         figures[f"demonstrations.success_rate.{name}"] = rate(results)
         everything.append(results)
-        redraws += tests.redraws
+        resamples += tests.resamples
         env.close()
     together = merge(everything)
     figures["demonstrations.success_rate"] = rate(together)
-    poses = redraws + len(together)
-    figures["demonstrations.poses_without_plan"] = Figure(redraws / poses, "1", None, poses)
+    poses = resamples + len(together)
+    figures["demonstrations.poses_without_plan"] = Figure(resamples / poses, "1", None, poses)
     return figures
 
 
@@ -179,10 +179,10 @@ class Outcome:
 
 
 def _results(
-    success: list[bool], returns: list[float], steps: list[int], reasons: list[int], objects: list[str], redraws: int
+    success: list[bool], returns: list[float], steps: list[int], reasons: list[int], objects: list[str], resamples: int
 ) -> EpisodeResults:
     return EpisodeResults(
-        np.array(success), np.array(returns), np.array(steps), np.array(reasons), tuple(objects), redraws
+        np.array(success), np.array(returns), np.array(steps), np.array(reasons), tuple(objects), resamples
     )
 
 

@@ -17,13 +17,13 @@ import torch
 
 from icub_core import registry
 from icub_core.errors import ConfigError
+from icub_core.interfaces.policy import Policy, Progress
+from icub_core.scene import Scene
+from icub_core.workers import Workers
 from icub_tasks.grasping.env import GraspEnv
 from icub_tasks.grasping.evaluation import EpisodeResults, evaluate, merge
 from icub_tasks.grasping.task import GraspTask, TaskSettings
 from icub_tasks.grasping.termination import EndReason
-from icub_core.interfaces.policy import Policy, Progress
-from icub_core.scene import Scene
-from icub_core.workers import Workers
 
 PluginConfig = str | dict[str, Any]
 """A plugin's name, or its constructor's parameters with the name under ``plugin``."""

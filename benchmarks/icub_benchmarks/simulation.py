@@ -1,4 +1,4 @@
-"""Speed of the simulator: physics steps per second over scripted grasps, time of a picture.
+"""Speed of the simulator: physics steps per second over scripted grasps, time of a image.
 
     python benchmarks/simulation.py
     python benchmarks/simulation.py --only render --repeats 200
@@ -167,7 +167,7 @@ def task_calls(seed: int, repeats: int) -> dict[str, Figure]:
 
 
 def render(seed: int, repeats: int) -> dict[str, Figure]:
-    """Milliseconds of a 160 x 120 colour and depth picture of the whole scene from the tracking head camera."""
+    """Milliseconds of a 160 x 120 color and depth image of the whole scene from the tracking head camera."""
     objects = YcbPrimitives()
     spec = objects.get("006_mustard_bottle")
     simulator = Mujoco()
@@ -178,7 +178,7 @@ def render(seed: int, repeats: int) -> dict[str, Figure]:
     for key, size in (("sim.render_ms", (160, 120)), ("sim.render_320x240_ms", (320, 240))):
         simulator.render("head_cam", *size, look_at=target)
         times = []
-        for _ in track(range(max(repeats, 30)), description=f"pictures {size[0]} x {size[1]}", transient=True):
+        for _ in track(range(max(repeats, 30)), description=f"images {size[0]} x {size[1]}", transient=True):
             start = time.process_time()  # drawing may use threads of its own
             simulator.render("head_cam", *size, look_at=target)
             times.append((time.process_time() - start) * 1e3)
@@ -198,7 +198,7 @@ def main() -> None:
     """Measure, print and write benchmarks/results/simulation.json."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", choices=list(FIGURES), action="append", help="measure only these (all by default)")
-    parser.add_argument("--repeats", type=int, default=40, help="episodes, pictures, or rounds of calls")
+    parser.add_argument("--repeats", type=int, default=40, help="episodes, images, or rounds of calls")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     chosen = arguments.only or list(FIGURES)

@@ -34,7 +34,7 @@ def _pattern(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def random_surface(rng: np.random.Generator) -> Material:
-    """Return a table or floor: two muted colours mixed by a random pattern, with a little fine noise."""
+    """Return a table or floor: two muted colors mixed by a random pattern, with a little fine noise."""
     first = rng.uniform(0.15, 0.85) + rng.normal(0, 0.08, 3)
     second = np.clip(first + rng.normal(0, 0.12) + rng.normal(0, 0.05, 3), 0, 1)
     mix = np.clip(_pattern(rng), 0, 1)[..., None]

@@ -1,6 +1,6 @@
 """The data that travels between plugins: frozen, checked at construction, numpy throughout.
 
-`T_a_b` is the 4 x 4 rigid transform that maps coordinates of frame b into frame a. World: z up, metres.
+`T_a_b` is the 4 x 4 rigid transform that maps coordinates of frame b into frame a. World: z up, meters.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ def _require(condition: bool, message: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class RgbdFrame:
-    """One aligned colour and depth image with the pose of its camera.
+    """One aligned color and depth image with the pose of its camera.
 
     Attributes:
         rgb: (H, W, 3) uint8.
-        depth: (H, W) float32, metres along the optical axis, 0 where nothing was measured.
+        depth: (H, W) float32, meters along the optical axis, 0 where nothing was measured.
         intrinsics: (3, 3) float64, pinhole matrix in pixels.
         T_world_camera: (4, 4) float64; camera z forward, y down, x right.
         stamp: Seconds.
@@ -46,7 +46,7 @@ class RgbdFrame:
         )
         _require(
             self.depth.shape == self.rgb.shape[:2] and self.depth.dtype == np.float32,
-            f"RgbdFrame.depth is {self.depth.shape} {self.depth.dtype}; expected {self.rgb.shape[:2]} float32 metres",
+            f"RgbdFrame.depth is {self.depth.shape} {self.depth.dtype}; expected {self.rgb.shape[:2]} float32 meters",
         )
         _require(self.intrinsics.shape == (3, 3), f"RgbdFrame.intrinsics is {self.intrinsics.shape}; expected (3, 3)")
         _require(is_rigid(self.T_world_camera), "RgbdFrame.T_world_camera is not a rigid (4, 4) transform")
@@ -104,10 +104,10 @@ class PointCloud:
     """Points in a named frame.
 
     Attributes:
-        points: (N, 3) float64, metres.
+        points: (N, 3) float64, meters.
         frame: Name of the frame, usually ``"world"``.
         rgb: (N, 3) uint8, or None.
-        viewpoint: (3,) optical centre of the camera that saw all of them, in the same frame; None when there is none.
+        viewpoint: (3,) optical center of the camera that saw all of them, in the same frame; None when there is none.
     """
 
     points: FloatArray
@@ -118,7 +118,7 @@ class PointCloud:
     def __post_init__(self) -> None:
         _require(
             self.points.ndim == 2 and self.points.shape[1] == 3,
-            f"PointCloud.points is {self.points.shape}; expected (N, 3) metres",
+            f"PointCloud.points is {self.points.shape}; expected (N, 3) meters",
         )
         if self.rgb is not None:
             _require(
@@ -137,7 +137,7 @@ class Grasp:
 
     Attributes:
         T_world_hand: (4, 4) pose of the hand frame (`r_hand_dh_frame` or `l_hand_dh_frame`) at the grasp.
-        object_center: (3,) estimate of the object's centre, world, metres.
+        object_center: (3,) estimate of the object's center, world, meters.
         score: Higher is better; comparable only within one generator.
         generator: Registry name of the generator.
         hand: ``"right"`` or ``"left"``.
@@ -155,14 +155,14 @@ class Grasp:
         _require(self.hand in ("right", "left"), f"Grasp.hand is '{self.hand}'; expected 'right' or 'left'")
 
     def backed_off(self, distance: float) -> FloatArray:
-        """Return the (4, 4) hand pose `distance` metres further out on the line from object centre to hand.
+        """Return the (4, 4) hand pose `distance` meters further out on the line from object center to hand.
 
         Source: thesis 12.3.1 (pre-grasp 5 cm before the grasp, reached through a pose at 10 cm).
         """
         T = self.T_world_hand.copy()
         offset = T[:3, 3] - self.object_center
         norm = float(np.linalg.norm(offset))
-        if norm < 1e-6:  # the hand frame sits on the centre: the palm's outward normal is the only way out
+        if norm < 1e-6:  # the hand frame sits on the center: the palm's outward normal is the only way out
             offset, norm = -T[:3, 2], 1.0
         T[:3, 3] += distance / norm * offset
         return T

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-MOST_NAMES = 30
+MAX_NAMES = 30
 """Names that a message lists; an object set may have a thousand."""
 
 
@@ -60,5 +60,5 @@ def unknown_name(what: str, name: str, known: Iterable[str]) -> str:
         known: The names that would have been valid.
     """
     names = sorted(known)
-    listed = ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
+    listed = ", ".join(names[:MAX_NAMES]) + (f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else "")
     return f"no {what} named '{name}'.{suggestion(name, names)} Known: {listed or 'none'}"

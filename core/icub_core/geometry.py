@@ -12,7 +12,7 @@ _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def is_rigid(T: NDArray[np.floating], tolerance: float = 1e-5) -> bool:
-    """Say whether `T` is a (4, 4) rotation and translation: finite, R R^T = I, det R = +1."""
+    """Return True if `T` is a (4, 4) rotation and translation: finite, R R^T = I, det R = +1."""
     if T.shape != (4, 4):
         return False
     R = T[:3, :3]
@@ -44,7 +44,7 @@ def invert(T: FloatArray) -> FloatArray:
 
 
 def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> FloatArray:
-    """Convert quaternions (..., 4), normalised here, to rotations (..., 3, 3)."""
+    """Convert quaternions (..., 4), normalized here, to rotations (..., 3, 3)."""
     q = np.asarray(quat_wxyz, dtype=np.float64)
     w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
     rows = [
@@ -157,7 +157,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
 def pinhole(width: int, height: int, fovy: float) -> FloatArray:
     """Return the (3, 3) intrinsics of an ideal camera with vertical field of view `fovy` (rad).
 
-    Whole pixel coordinates are pixel centres: the middle of 320 columns is 159.5.
+    Whole pixel coordinates are pixel centers: the middle of 320 columns is 159.5.
     """
     focal = 0.5 * height / np.tan(0.5 * fovy)
     return np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])

@@ -43,7 +43,7 @@ def make_context() -> Any:
     """
     context_class = prepare()
     try:
-        context = context_class(64, 64)  # pictures are drawn into a buffer of their own
+        context = context_class(64, 64)  # images are drawn into a buffer of their own
         context.make_current()
     except Exception as error:  # PyOpenGL raises anything from AttributeError to its own classes
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
@@ -65,7 +65,7 @@ def prepare() -> Any:
     os.environ[VARIABLE] = backend
     if backend in _LIBRARIES:
         os.environ["PYOPENGL_PLATFORM"] = backend
-    # Mesa's software driver: handing a small picture to worker threads takes longer than drawing it
+    # Mesa's software driver: handing a small image to worker threads takes longer than drawing it
     os.environ.setdefault("LP_NUM_THREADS", "0")
     try:
         return importlib.import_module(f"mujoco.{backend}").GLContext
@@ -77,7 +77,7 @@ def _load_triton_first() -> None:
     """Load Triton's library before Mesa's, where Triton is installed (it comes with torch).
 
     Both contain an LLVM. Loaded after Mesa's software driver, Triton's binds to the driver's, and the process dies of
-    a segmentation fault, typically when `tensordict` is imported after the first picture was drawn. The other way
+    a segmentation fault, typically when `tensordict` is imported after the first image was drawn. The other way
     round both work. Only the library is loaded, not the package.
     """
     spec = importlib.util.find_spec("triton") if "triton" not in sys.modules else None

@@ -25,7 +25,7 @@ class SafetyGovernor:
         max_speed: (m,) rad/s.
         max_acceleration: (m,) rad/s^2.
         control_step: Seconds between two commands.
-        workspace: (2, 3) lowest and highest hand position that may be asked for, world, metres.
+        workspace: (2, 3) lowest and highest hand position that may be asked for, world, meters.
         worlds: Number of command streams.
     """
 
@@ -71,7 +71,7 @@ class SafetyGovernor:
         return np.clip(np.where(finite, actions, 0.0), -1.0, 1.0), np.logical_not(finite.all(axis=1))
 
     def limit_position(self, position: FloatArray) -> FloatArray:
-        """Clip wanted hand positions (N, 3), metres, to the workspace."""
+        """Clip wanted hand positions (N, 3), meters, to the workspace."""
         return np.minimum(np.maximum(position, self._workspace[0]), self._workspace[1])
 
     def limit(self, commands: FloatArray) -> FloatArray:

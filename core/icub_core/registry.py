@@ -43,14 +43,14 @@ class PluginInfo:
         name: Registry name.
         target: ``module:Class``.
         distribution: Name and version of the distribution that announces it.
-        rivals: Other distributions that announce the same name with another target; such a name cannot be loaded.
+        baselines: Other distributions that announce the same name with another target; such a name cannot be loaded.
     """
 
     kind: str
     name: str
     target: str
     distribution: str
-    rivals: tuple[str, ...] = ()
+    conflicts: tuple[str, ...] = ()
 
 
 def _distribution(entry: EntryPoint) -> str:
@@ -69,8 +69,8 @@ def _scan() -> dict[str, dict[str, PluginInfo]]:
             if first is None:
                 by_name[entry.name] = PluginInfo(kind.name, entry.name, entry.value, _distribution(entry))
             elif first.target != entry.value or first.distribution != _distribution(entry):
-                rivals = (*first.rivals, _distribution(entry))
-                by_name[entry.name] = PluginInfo(kind.name, first.name, first.target, first.distribution, rivals)
+                conflicts = (*first.conflicts, _distribution(entry))
+                by_name[entry.name] = PluginInfo(kind.name, first.name, first.target, first.distribution, conflicts)
         found[kind.name] = by_name
     return found
 
@@ -128,8 +128,8 @@ def load(kind: str, name: str) -> type[Any]:
             class of its kind.
     """
     plugin = info(kind, name)
-    if plugin.rivals:
-        owners = ", ".join((plugin.distribution, *plugin.rivals))
+    if plugin.conflicts:
+        owners = ", ".join((plugin.distribution, *plugin.conflicts))
         raise PluginError(
             f"the {kind} name '{name}' is announced by more than one distribution: {owners}; uninstall all but one"
         )

@@ -39,7 +39,7 @@ class Actuator:
 
 @dataclass(frozen=True)
 class JointDynamics:
-    """Passive behaviour of one joint, SI units."""
+    """Passive behavior of one joint, SI units."""
 
     damping: float = 5.0
     stiffness: float = 0.01
@@ -103,7 +103,7 @@ class RobotDescription:
         dynamics, contacts: By joint, by link; absent names take the defaults.
         contact_excludes: Pairs of links that never collide.
         capsule_links: Links whose every ``<cylinder>`` in the URDF stands for a capsule of that radius, with its end
-            spheres centred on the cylinder's end faces (the length is the segment between them). The file says
+            spheres centered on the cylinder's end faces (the length is the segment between them). The file says
             cylinder because the parser of Pinocchio and Placo refuses capsules; engines that know them turn them back.
         coupled_joints: Joints that follow others rigidly.
         gravity_compensation: Whether the robot carries its own weight without effort.

@@ -25,12 +25,12 @@ class Geom:
 
     Attributes:
         shape: Kind of solid.
-        size: Metres: box and ellipsoid half extents (3); cylinder and capsule (radius, half length along z); sphere
+        size: Meters: box and ellipsoid half extents (3); cylinder and capsule (radius, half length along z); sphere
             (radius,); mesh () - its size is in the file.
-        position: Centre in the object's frame.
+        position: Center in the object's frame.
         quat_wxyz: Orientation in the object's frame.
         mesh: OBJ or STL file, for shape ``"mesh"``; its hull is what collides.
-        mesh_scale: Factor from the file's unit to metres.
+        mesh_scale: Factor from the file's unit to meters.
     """
 
     shape: Shape
@@ -43,17 +43,17 @@ class Geom:
     def __post_init__(self) -> None:
         expected = NUMBER_OF_SIZES[self.shape]
         if len(self.size) != expected or any(not s > 0 for s in self.size):
-            raise DataError(f"a {self.shape} has size {self.size}; expected {expected} positive half extents in metres")
+            raise DataError(f"a {self.shape} has size {self.size}; expected {expected} positive half extents in meters")
         if (self.shape == "mesh") != (self.mesh is not None):
             raise DataError(f"a {self.shape} geom has mesh={self.mesh}; exactly the shape 'mesh' needs a file")
 
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """Colour, or a texture mapped on all six sides of the object (cube mapping, needs no UV coordinates).
+    """Color, or a texture mapped on all six sides of the object (cube mapping, needs no UV coordinates).
 
     Attributes:
-        rgba: Base colour, 0..1; multiplies the texture.
+        rgba: Base color, 0..1; multiplies the texture.
         texture: (S, S, 3) uint8 square image, or None.
         specular, shininess: 0..1.
     """
@@ -70,7 +70,7 @@ class RestPose:
 
     Attributes:
         quat_wxyz: Orientation; any turn about the vertical is the same pose.
-        height: Of the object's origin above the table top, metres.
+        height: Of the object's origin above the table top, meters.
         share: Of drops in every orientation that ended so, 0..1; None where nothing was dropped.
     """
 
@@ -90,8 +90,8 @@ class ObjectSpec:
         mass: Kilograms, with inertia from the collision pieces at uniform density.
         friction: Sliding, torsional, rolling coefficients.
         rest_quat_wxyz: Orientation in which it stands on a table.
-        rest_height: Height of the object's origin above the table top in that orientation, metres.
-        half_extents: Half size of the axis-aligned box around the object in its own frame, centred on the origin.
+        rest_height: Height of the object's origin above the table top in that orientation, meters.
+        half_extents: Half size of the axis-aligned box around the object in its own frame, centered on the origin.
         rest_poses: Known ways to stand, the stated one first, then by frequency; may be empty.
     """
 
@@ -118,7 +118,7 @@ class Table:
     """A box to put things on.
 
     Attributes:
-        center: World position of the box's centre; half_size: metres.
+        center: World position of the box's center; half_size: meters.
     """
 
     center: Vec3 = (-0.68, 0.0, 0.9)
@@ -127,13 +127,13 @@ class Table:
 
     @property
     def top(self) -> float:
-        """World height of the table top, metres."""
+        """World height of the table top, meters."""
         return self.center[2] + self.half_size[2]
 
 
 @dataclass(frozen=True)
 class Light:
-    """A directional light: `direction` is where it shines, `diffuse` its colour."""
+    """A directional light: `direction` is where it shines, `diffuse` its color."""
 
     direction: Vec3 = (0.5, -0.35, -1.0)
     diffuse: Vec3 = (0.6, 0.6, 0.6)

@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 logger = logging.getLogger(__name__)
 
 _READY, _DONE, _FAILED = "ready", "done", "failed"
-_LONGEST_WAIT = 1.0
+_MAX_WAIT = 1.0
 """Seconds between two looks for workers that hang."""
 
 
@@ -85,7 +85,7 @@ class Workers(Generic[Job, Result]):
                     with suppress(OSError):  # a worker that died idle is found below
                         worker.connection.send(jobs[worker.job])
             busy = [worker for worker in self._workers if worker.job is not None]
-            heard = wait([worker.connection for worker in busy], timeout=min(_LONGEST_WAIT, self._patience))
+            heard = wait([worker.connection for worker in busy], timeout=min(_MAX_WAIT, self._patience))
             for worker in busy:
                 job = worker.job
                 assert job is not None
@@ -156,7 +156,7 @@ def _receive(worker: _Worker) -> tuple[str, Any] | None:
 
 
 def _status(worker: _Worker) -> int | None:
-    worker.process.join(_LONGEST_WAIT)
+    worker.process.join(_MAX_WAIT)
     return worker.process.exitcode
 
 

@@ -82,8 +82,8 @@ def _signature_check(kind: str) -> Check:
 
         cls = type(make())
         wanted = signature(kind, cls.__name__, cls)
-        if len(wanted.parameters) > MOST_PARAMETERS:
-            raise ContractError(f"expected at most {MOST_PARAMETERS} parameters; got {len(wanted.parameters)}")
+        if len(wanted.parameters) > MAX_PARAMETERS:
+            raise ContractError(f"expected at most {MAX_PARAMETERS} parameters; got {len(wanted.parameters)}")
         given = {key for key, parameter in wanted.parameters.items() if parameter.required}
         if not given:
             checked_parameters(kind, cls.__name__, cls, {})
@@ -91,4 +91,4 @@ def _signature_check(kind: str) -> Check:
     return check_signature
 
 
-MOST_PARAMETERS = 8
+MAX_PARAMETERS = 8

@@ -8,14 +8,14 @@ from icub_core.interfaces.dataset import Dataset
 from icub_testing.checks import Make
 from icub_testing.expect import expect, expect_raises, expect_same
 
-MOST_ITEMS = 4
+MAX_ITEMS = 4
 """Items of a large set that are looked at, spread over the whole set."""
 BOX_MARGIN = 2.0
 """Pixels by which a box may differ from its mask's tight box, for annotations drawn by hand."""
 
 
 def _some(dataset: Dataset) -> list[int]:
-    return sorted({int(i) for i in np.linspace(0, len(dataset) - 1, min(MOST_ITEMS, len(dataset)))})
+    return sorted({int(i) for i in np.linspace(0, len(dataset) - 1, min(MAX_ITEMS, len(dataset)))})
 
 
 def check_classes(make: Make) -> None:

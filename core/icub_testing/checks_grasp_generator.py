@@ -13,13 +13,13 @@ from icub_testing.tiny.robot import TinyRobot
 
 TABLE = Table()
 BOTTLE = (0.03, 0.03, 0.08)
-"""Half extents of the object, metres."""
+"""Half extents of the object, meters."""
 PLACE = np.array([-0.35, 0.0, TABLE.top + BOTTLE[2]])
 NEAR_OBJECT = 0.35
-"""No hand that holds the object has its frame farther from the object's centre, metres."""
+"""No hand that holds the object has its frame farther from the object's center, meters."""
 PRE_GRASPS = (0.0, 0.05, 0.10)
 HAND_THICKNESS = 0.01
-"""Metres by which the middle of a fingertip link may be below the table top, for links drawn from their near joint."""
+"""Meters by which the middle of a fingertip link may be below the table top, for links drawn from their near joint."""
 
 
 def _surface(center: FloatArray = PLACE, half: FloatArray | tuple[float, float, float] = BOTTLE) -> PointCloud:
@@ -47,10 +47,10 @@ def _refused(make: Make, cloud: PointCloud, what: str) -> None:
 
 
 def check_proposes(make: Make) -> None:
-    """An upright box of a bottle's size, seen from all sides, has at least one grasp, near it and in metres."""
+    """An upright box of a bottle's size, seen from all sides, has at least one grasp, near it and in meters."""
     answer = _proposed(make)
     expect(answer.grasps, "at least one grasp", f"none: {answer.reason}")
-    expect(answer.object_center is not None, "the object's centre", None)
+    expect(answer.object_center is not None, "the object's center", None)
     for grasp in answer.grasps:
         distance = float(np.linalg.norm(grasp.T_world_hand[:3, 3] - PLACE))
         expect(
@@ -59,7 +59,7 @@ def check_proposes(make: Make) -> None:
             f"{distance:.2f} m",
         )
         off = float(np.linalg.norm(grasp.object_center - PLACE))
-        expect(off < max(BOTTLE), "an object centre inside the object", f"one {off:.2f} m off")
+        expect(off < max(BOTTLE), "an object center inside the object", f"one {off:.2f} m off")
 
 
 def check_order(make: Make) -> None:
@@ -133,7 +133,7 @@ def check_too_large(make: Make) -> None:
 
 def check_unreachable(make: Make) -> None:
     """An object out of reach gives no grasps and the reason."""
-    _refused(make, _surface(np.array([-5.0, 0.0, TABLE.top + BOTTLE[2]])), "an object five metres away")
+    _refused(make, _surface(np.array([-5.0, 0.0, TABLE.top + BOTTLE[2]])), "an object five meters away")
 
 
 def check_repeatable(make: Make) -> None:

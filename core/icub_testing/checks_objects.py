@@ -11,14 +11,14 @@ from icub_core.scene import Geom, ObjectSpec
 from icub_testing.checks import Make
 from icub_testing.expect import expect, expect_raises
 
-MOST_OBJECTS = 8
+MAX_OBJECTS = 8
 """Objects of a large set that are looked at, spread over the whole set."""
 MARGIN = 0.005
-"""Metres by which a piece may stick out of the stated extents."""
+"""Meters by which a piece may stick out of the stated extents."""
 
 
 def _some(names: tuple[str, ...]) -> list[str]:
-    chosen = np.linspace(0, len(names) - 1, min(MOST_OBJECTS, len(names))).round().astype(int)
+    chosen = np.linspace(0, len(names) - 1, min(MAX_OBJECTS, len(names))).round().astype(int)
     return [names[i] for i in chosen]
 
 
@@ -90,7 +90,7 @@ def check_extents(make: Make) -> None:
         spec = objects.get(name)
         expect(spec.rest_height > 0, f"a rest height of '{name}' above 0", spec.rest_height)
         expect(
-            all(0 < half < 2 for half in spec.half_extents), f"half extents of '{name}' in metres", spec.half_extents
+            all(0 < half < 2 for half in spec.half_extents), f"half extents of '{name}' in meters", spec.half_extents
         )
         for geom in spec.collision:
             half = _half_size(geom)

@@ -20,20 +20,20 @@ PICKLE_BEGINNINGS = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05", b"PK\x0
 Sample = tuple[RgbdFrame, tuple[Instance, ...]]
 
 
-def _shown(colour: str, frames: int = 4) -> list[Sample]:
+def _shown(color: str, frames: int = 4) -> list[Sample]:
     """Show one disc at several places and sizes."""
     places = [(45 + 18 * i, 45 + 9 * i, 16 + i % 3) for i in range(frames)]
-    return [draw_frame({colour: place}, seed=i) for i, place in enumerate(places)]
+    return [draw_frame({color: place}, seed=i) for i, place in enumerate(places)]
 
 
 def _test_frame() -> RgbdFrame:
     return draw_frame({"red": (45, 50, 17), "blue": (115, 70, 17)}, seed=99)[0]
 
 
-def _taught(make: Make, *colours: str) -> Segmenter:
+def _taught(make: Make, *colors: str) -> Segmenter:
     segmenter: Segmenter = make()
-    for colour in colours:
-        for frame, instances in _shown(colour):
+    for color in colors:
+        for frame, instances in _shown(color):
             segmenter.observe(frame, instances)
     segmenter.update()
     return segmenter
@@ -57,8 +57,8 @@ def check_untaught(make: Make) -> None:
 def check_classes(make: Make) -> None:
     """The classes are those that were taught, known from the update on."""
     segmenter = make()
-    for colour in ("red", "blue"):
-        for sample in _shown(colour):
+    for color in ("red", "blue"):
+        for sample in _shown(color):
             segmenter.observe(*sample)
     expect(tuple(segmenter.classes) == (), "no classes before the first update", segmenter.classes)
     report = segmenter.update()

@@ -18,9 +18,9 @@ from icub_testing.tiny.robot import CAMERA, HAND_FRAME, TinyRobot
 from icub_testing.tiny.things import TinyObjects
 
 SETTLED = 0.01
-"""Metres that a resting object may creep in half a second."""
+"""Meters that a resting object may creep in half a second."""
 RENDERING_ERROR = 0.01
-"""Metres by which rendered points may miss the surface, one pixel's footprint at 1 m included."""
+"""Meters by which rendered points may miss the surface, one pixel's footprint at 1 m included."""
 PIXEL_ERROR = 0.3
 """Pixels; half a pixel is what a wrong convention costs."""
 TRACKING_ERROR = 0.05
@@ -51,7 +51,7 @@ def _place(name: str, x: float, y: float) -> FloatArray:
 
 
 def _from_above(x: float, y: float) -> CameraView:
-    """A camera one metre above the table."""
+    """A camera one meter above the table."""
     table = _scene().table
     assert table is not None
     return CameraView(look_at([x, y, table.top + 1.0], [x, y, table.top], up=(1.0, 0.0, 0.0)), fovy=0.7)
@@ -153,7 +153,7 @@ def check_shortcuts(make: Make) -> None:
 
 
 def check_appearance(make: Make) -> None:
-    """Looks, where they can be changed, change pictures and nothing else."""
+    """Looks, where they can be changed, change images and nothing else."""
     view = _from_above(-0.35, 0.0)
     with _world(make) as simulator:
         before, state = simulator.render(view, 40, 30).frame, simulator.save_state()
@@ -162,7 +162,7 @@ def check_appearance(make: Make) -> None:
         except SimulationError:
             return  # a simulator that cannot says so
         after = simulator.render(view, 40, 30).frame
-        expect(not np.array_equal(before.rgb, after.rgb), "another picture of a green table", "the same")
+        expect(not np.array_equal(before.rgb, after.rgb), "another image of a green table", "the same")
         expect_same(before.depth, after.depth, "depth before and after")
         expect_same(state, simulator.save_state(), "the state before and after")
 
@@ -238,7 +238,7 @@ def check_save_and_restore(make: Make) -> None:
 
 
 def check_picture(make: Make) -> None:
-    """Pictures have the size asked for, and depth in metres that agrees with the scene."""
+    """Images have the size asked for, and depth in meters that agrees with the scene."""
     view = _from_above(-0.35, 0.0)
     with _world(make) as simulator:
         simulator.set_object_pose("red", _place("red", -0.35, 0.0))
@@ -262,7 +262,7 @@ def check_picture(make: Make) -> None:
 
 
 def check_pixels(make: Make) -> None:
-    """Whole numbers are pixel centres: what lies on the camera's axis is seen at half (size - 1)."""
+    """Whole numbers are pixel centers: what lies on the camera's axis is seen at half (size - 1)."""
     with _world(make) as simulator:
         simulator.set_object_pose("red", _place("red", -0.35, 0.0))
         for width, height in ((100, 80), (101, 81)):

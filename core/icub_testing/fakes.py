@@ -11,7 +11,7 @@ from icub_core.registry import build, load
 from icub_testing.tiny import tiny_class
 
 
-def with_tiny_company(
+def with_tiny_dependencies(
     kind: str, name: str, parameters: Mapping[str, Any] | None = None, **given: Any
 ) -> Callable[[], Any]:
     """Return a factory of fresh instances of a plugin, for `icub_testing.checks.run_checks`.
@@ -29,8 +29,8 @@ def with_tiny_company(
     missing = [key for key in wanted if key in KINDS and key not in given]
 
     def make() -> Any:
-        company = {key: _tiny(key) for key in missing}
-        return build(kind, {"plugin": name, **(parameters or {})}, **company, **given)
+        dependencies = {key: _tiny(key) for key in missing}
+        return build(kind, {"plugin": name, **(parameters or {})}, **dependencies, **given)
 
     return make
 

@@ -11,11 +11,11 @@ from tensordict import TensorDictBase
 from icub_core import registry
 from icub_core.data import RgbdFrame
 from icub_core.geometry import invert, look_at
-from icub_pipelines.images import captioned, contact_sheet
 from icub_core.scene import CameraView, Table
+from icub_pipelines.images import captioned, contact_sheet
 
-FILMED = 12
-"""Control steps between two pictures of the strip of a grasp."""
+RECORDED = 12
+"""Control steps between two images of the strip of a grasp."""
 GREEN, ORANGE = (60, 220, 90), (255, 140, 30)
 
 
@@ -26,8 +26,8 @@ def projected(points: NDArray[np.float64], T_world_camera: NDArray[np.float64], 
     return local[:, :2] / local[:, 2:] * [K[0, 0], K[1, 1]] + [K[0, 2], K[1, 2]]
 
 
-def wireframe(canvas: Image, shape: object, frame: RgbdFrame, colour: tuple[int, int, int]) -> None:
-    """Draw the near side of a superquadric's parameter lines on a picture."""
+def wireframe(canvas: Image, shape: object, frame: RgbdFrame, color: tuple[int, int, int]) -> None:
+    """Draw the near side of a superquadric's parameter lines on a image."""
     u, v = np.meshgrid(np.linspace(-np.pi / 2, np.pi / 2, 13), np.linspace(-np.pi, np.pi, 25), indexing="ij")
     unit = np.stack([np.cos(u) * np.cos(v), np.cos(u) * np.sin(v), np.sin(u)], axis=-1)
     R, half = shape.T_world_object[:3, :3], shape.half_axes  # type: ignore[attr-defined]
@@ -46,13 +46,13 @@ def wireframe(canvas: Image, shape: object, frame: RgbdFrame, colour: tuple[int,
             strict=True,
         ):
             if shown:
-                cv2.line(canvas, tuple(map(int, a.round())), tuple(map(int, b.round())), colour, 1, cv2.LINE_AA)
+                cv2.line(canvas, tuple(map(int, a.round())), tuple(map(int, b.round())), color, 1, cv2.LINE_AA)
 
 
 def superquadric() -> None:
     """From a camera's cloud to a hand pose: mask, fitted superquadric, chosen pose, seen from elsewhere."""
-    from icub_tasks.grasping.plan import GraspPlan, plan_grasp
     from icub_grasp_generators.superquadrics.fit import fit_superquadric
+    from icub_tasks.grasping.plan import GraspPlan, plan_grasp
 
     (item,) = ycb("006_mustard_bottle")
     studio = Studio.open([item])
@@ -69,7 +69,7 @@ def superquadric() -> None:
         seen.frame, mask, item.name, generator, studio.robot, description.home_q, table=simulator.scene.table
     )
     if not isinstance(plan, GraspPlan):
-        raise SystemExit(f"no plan for the picture: {plan.value}")
+        raise SystemExit(f"no plan for the image: {plan.value}")
     first, second = seen.frame.rgb.copy(), seen.frame.rgb.copy()
     first[mask] = (0.45 * first[mask] + 0.55 * np.array(GREEN)).astype(np.uint8)
     wireframe(second, shape, seen.frame, ORANGE)
@@ -78,11 +78,11 @@ def superquadric() -> None:
         captioned(crop(second, mask), "fitted superquadric"),
     ]
     frame = description.hand_frames["right"]
-    eye, centre = np.array([-0.78, 0.40, 1.28]), np.array([-0.29, 0.03, 1.08])
+    eye, center = np.array([-0.78, 0.40, 1.28]), np.array([-0.29, 0.03, 1.08])
     for title, T in (("pre-grasp, 10 cm before", plan.T_far), ("chosen hand pose", plan.grasp.T_world_hand)):
         solution = studio.robot.inverse_kinematics(T, plan.q_far, frame, group="right_reach")
         simulator.set_joint_positions(solution.q)
-        picture = simulator.render(CameraView(look_at(eye, centre), 0.5), 640, 480, shadows=True).frame
+        picture = simulator.render(CameraView(look_at(eye, center), 0.5), 640, 480, shadows=True).frame
         canvas = picture.rgb.copy()
         wireframe(canvas, shape, picture, ORANGE)
         panels.append(captioned(halved(canvas), title))
@@ -99,7 +99,7 @@ def crop(image: Image, mask: NDArray[np.bool_], width: int = 400) -> Image:
 
 
 def grasps() -> None:
-    """The best grasp of each hand for three objects, as planned from the head camera's picture."""
+    """The best grasp of each hand for three objects, as planned from the head camera's image."""
     items = ycb("004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle")
     studio = Studio.open(items, hands=["right", "left"])
     simulator, description = studio.simulator, studio.robot.description
@@ -116,7 +116,7 @@ def grasps() -> None:
             cloud = seen.frame.to_cloud(seen.segmentation == items.index(item))
             answer = generator.propose(cloud, studio.robot, simulator.scene.table, side)
             if not answer:
-                raise SystemExit(f"no grasp of '{item.name}' for the picture: {answer.reason}")
+                raise SystemExit(f"no grasp of '{item.name}' for the image: {answer.reason}")
             frame = description.hand_frames[side]
             q = description.home_q
             for before in (0.10, 0.05, 0.0):
@@ -130,7 +130,7 @@ def grasps() -> None:
 
 
 def grasp() -> None:
-    """A scripted grasp in six pictures."""
+    """A scripted grasp in six images."""
     from icub_tasks.grasping.env import GraspEnv
     from icub_tasks.grasping.evaluation import evaluate
     from icub_tasks.grasping.task import CONTROL_STEP, GraspTask
@@ -145,7 +145,7 @@ def grasp() -> None:
 
     def record(world: int, env: GraspEnv, episode: int, step: TensorDictBase) -> None:
         nonlocal steps
-        if steps % FILMED == 0:
+        if steps % RECORDED == 0:
             shot = studio.shot((-0.83, 0.42, 1.30), (-0.29, 0.03, 1.12), 0.55)
             pictures.append(captioned(shot, f"{steps * CONTROL_STEP:.1f} s"))
         steps += 1

@@ -1,4 +1,4 @@
-"""Seeing: data, and pictures of whole runs."""
+"""Seeing: data, and images of whole runs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from studio import Image, save_gif, save_png
 
 from icub_core import registry
-from icub_pipelines.images import captioned, colour_of, contact_sheet, draw_instances
+from icub_pipelines.images import captioned, color_of, contact_sheet, draw_instances
 
 
 def feature_task() -> None:
@@ -28,7 +28,7 @@ def feature_task() -> None:
         for number in range(1, len(sample.labels) + 1):
             mask = (sample.instances == number).astype(np.uint8)
             outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-            cv2.drawContours(canvas, outlines, -1, colour_of(str(number)), 2)
+            cv2.drawContours(canvas, outlines, -1, color_of(str(number)), 2)
         samples.append(canvas)
     save_png("feature_task", contact_sheet(samples, 3))
 
@@ -45,7 +45,7 @@ def datasets() -> None:
 
 
 def main_job(run_folder: Path | None = None) -> None:
-    """Taught masks, found objects, and the film that opens the README; from a run's folder, or a small run's."""
+    """Taught masks, found objects, and the video that opens the README; from a run's folder, or a small run's."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = run_folder or Path(temporary)
         if run_folder is None:
@@ -53,15 +53,15 @@ def main_job(run_folder: Path | None = None) -> None:
             more = f"pipeline.grasp.episodes=4 pipeline.grasp.video_episodes=4 run_dir={folder}"
             subprocess.run([sys.executable, "-m", "icub_core.cli", *job.split(), *more.split()], check=True)
         taught, seen = iio.imread(folder / "taught.png"), iio.imread(folder / "seen.png")
-        film = iio.imread(folder / "grasp.gif")
+        video = iio.imread(folder / "grasp.gif")
     save_png("taught", contact_sheet(split(taught, 240, 320)[:4], 4))
     save_png("found", contact_sheet(split(seen, 240, 320)[:4], 2))
     shown = [("1  taught by showing, masks from depth", tile) for tile in split(taught, 240, 320)]
-    shown += [("2  found on tables it never saw, among strangers", tile) for tile in split(seen, 240, 320)]
+    shown += [("2  found on tables it never saw, among distractors", tile) for tile in split(seen, 240, 320)]
     stills = [titled(tile, title) for title, tile in shown]
-    # the second half of the film, at twice its speed
+    # the second half of the video, at twice its speed
     frames = [
-        titled(picture[..., :3], "3  planned and grasped (twice real time)") for picture in film[len(film) // 2 :: 2]
+        titled(picture[..., :3], "3  planned and grasped (twice real time)") for picture in video[len(video) // 2 :: 2]
     ]
     seconds = [0.9] * len(stills) + [0.1] * (len(frames) - 1) + [1.5]
     save_gif("main_job", stills, frames, seconds)
@@ -79,7 +79,7 @@ def corrected(run_folder: Path | None = None) -> None:
 
 
 def split(sheet: Image, height: int, width: int) -> list[Image]:
-    """Cut a contact sheet into its pictures, leaving out empty ones."""
+    """Cut a contact sheet into its images, leaving out empty ones."""
     tiles = [
         sheet[y : y + height, x : x + width, :3]
         for y in range(0, sheet.shape[0], height)
@@ -89,7 +89,7 @@ def split(sheet: Image, height: int, width: int) -> list[Image]:
 
 
 def titled(picture: Image, title: str) -> Image:
-    """Put a line of text above a picture, 480 x 384 in all."""
+    """Put a line of text above a image, 480 x 384 in all."""
     canvas = np.full((384, 480, 3), 24, np.uint8)
     canvas[24:] = cv2.resize(picture, (480, 360), interpolation=cv2.INTER_CUBIC)
     cv2.putText(canvas, title, (8, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (235, 235, 235), 1, cv2.LINE_AA)

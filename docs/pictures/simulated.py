@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from studio import FLOOR, WALL, WOOD, Image, Studio, save_png, ycb
 
 from icub_core import registry
-from icub_pipelines.images import captioned, contact_sheet
 from icub_core.scene import Light, Scene, Table
+from icub_pipelines.images import captioned, contact_sheet
 
 
 def robot() -> None:
@@ -52,17 +52,17 @@ def hands() -> None:
 
 
 def depth_picture(depth: NDArray[np.float32]) -> Image:
-    """Colour metres from near (yellow) to far (violet); nothing measured is black."""
+    """Color meters from near (yellow) to far (violet); nothing measured is black."""
     seen = depth > 0
     low, high = np.percentile(depth[seen], [1, 95])
-    grey = np.clip(255 * (1 - (depth - low) / (high - low)), 0, 255).astype(np.uint8)
-    coloured = cv2.cvtColor(cv2.applyColorMap(grey, cv2.COLORMAP_PLASMA), cv2.COLOR_BGR2RGB)
-    coloured[~seen] = 0
-    return np.asarray(coloured, np.uint8)
+    gray = np.clip(255 * (1 - (depth - low) / (high - low)), 0, 255).astype(np.uint8)
+    colored = cv2.cvtColor(cv2.applyColorMap(gray, cv2.COLORMAP_PLASMA), cv2.COLOR_BGR2RGB)
+    colored[~seen] = 0
+    return np.asarray(colored, np.uint8)
 
 
 def cameras() -> None:
-    """What each camera sees, in colour, depth and segmentation."""
+    """What each camera sees, in color, depth and segmentation."""
     items = ycb("004_sugar_box", "006_mustard_bottle", "005_tomato_soup_can", "010_potted_meat_can")
     studio = Studio.open(items)
     for item, (x, y) in zip(items, [(-0.33, 0.02), (-0.45, -0.12), (-0.42, 0.14), (-0.28, 0.13)], strict=True):
@@ -72,7 +72,7 @@ def cameras() -> None:
     straight = simulator.render("head_cam", 320, 240, shadows=True)
     turned = simulator.render("head_cam", 320, 240, look_at=target, segmentation=True, shadows=True)
     front = simulator.render("front_cam", 320, 240, shadows=True)
-    colours = np.array([(30, 30, 34), (230, 200, 60), (220, 60, 60), (70, 160, 230), (90, 200, 110)], np.uint8)
+    colors = np.array([(30, 30, 34), (230, 200, 60), (220, 60, 60), (70, 160, 230), (90, 200, 110)], np.uint8)
     assert turned.segmentation is not None
     sheet = [
         captioned(straight.frame.rgb, "head_cam, as the neck holds it"),
@@ -80,7 +80,7 @@ def cameras() -> None:
         captioned(front.frame.rgb, "front_cam"),
         captioned(depth_picture(straight.frame.depth), "its depth"),
         captioned(depth_picture(turned.frame.depth), "its depth"),
-        captioned(colours[turned.segmentation + 1], "the second one's segmentation"),
+        captioned(colors[turned.segmentation + 1], "the second one's segmentation"),
     ]
     save_png("cameras", contact_sheet(sheet, 3))
 

@@ -1,4 +1,4 @@
-"""Light, furniture and files of the documentation's pictures."""
+"""Light, furniture and files of the documentation's images."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from icub_core.scene import CameraView, Light, Material, ObjectSpec, Scene, Tabl
 
 Image = NDArray[np.uint8]
 FOLDER = Path(__file__).parents[1] / "images"
-MOST_PNG, MOST_GIF = 150_000, 1_500_000
+MAX_PNG, MAX_GIF = 150_000, 1_500_000
 KEY = Light(direction=(0.45, -0.5, -1.0), diffuse=(0.42, 0.42, 0.42), ambient=(0.26, 0.26, 0.26))
 FILL = Light(direction=(0.7, 0.8, -0.6), diffuse=(0.22, 0.22, 0.22), ambient=(0.26, 0.26, 0.26))
 STUDIO = (KEY, FILL)
@@ -33,33 +33,33 @@ logger = logging.getLogger(__name__)
 
 
 def save_png(name: str, image: Image) -> None:
-    """Write a PNG of 256 colours, smaller until it fits into the limit."""
+    """Write a PNG of 256 colors, smaller until it fits into the limit."""
     path, picture = FOLDER / f"{name}.png", Pillow.fromarray(image)
     while True:
         buffer = io.BytesIO()
-        # a palette refined by a few rounds of k-means: the median cut alone turns skin and wood grey
+        # a palette refined by a few rounds of k-means: the median cut alone turns skin and wood gray
         picture.quantize(256, kmeans=4, dither=Pillow.Dither.NONE).save(buffer, "png", optimize=True)
-        if buffer.tell() <= MOST_PNG:
+        if buffer.tell() <= MAX_PNG:
             path.write_bytes(buffer.getvalue())
             logger.info("%s: %d x %d, %d kB", path, *picture.size, buffer.tell() // 1000)
             return
         picture = picture.resize((int(0.9 * picture.width), int(0.9 * picture.height)), Pillow.Resampling.LANCZOS)
 
 
-def save_gif(name: str, stills: Sequence[Image], film: Sequence[Image], seconds: Sequence[float]) -> None:
-    """Write an endless GIF of still pictures and a film, smaller until it fits into the limit."""
-    path, width = FOLDER / f"{name}.gif", film[0].shape[1]
+def save_gif(name: str, stills: Sequence[Image], video: Sequence[Image], seconds: Sequence[float]) -> None:
+    """Write an endless GIF of still images and a video, smaller until it fits into the limit."""
+    path, width = FOLDER / f"{name}.gif", video[0].shape[1]
     while True:
-        size = (width, round(width * film[0].shape[0] / film[0].shape[1]))
-        small = [Pillow.fromarray(f).resize(size, Pillow.Resampling.LANCZOS) for f in (*stills, *film)]
-        # one palette for the film: what does not move stays the same and compresses to nothing
-        middle = small[len(stills) + len(film) // 2].quantize(128, kmeans=4)
+        size = (width, round(width * video[0].shape[0] / video[0].shape[1]))
+        small = [Pillow.fromarray(f).resize(size, Pillow.Resampling.LANCZOS) for f in (*stills, *video)]
+        # one palette for the video: what does not move stays the same and compresses to nothing
+        middle = small[len(stills) + len(video) // 2].quantize(128, kmeans=4)
         drawn = [f.quantize(128, kmeans=2, dither=Pillow.Dither.NONE) for f in small[: len(stills)]]
         drawn += [f.quantize(palette=middle, dither=Pillow.Dither.NONE) for f in small[len(stills) :]]
         buffer = io.BytesIO()
         durations = [int(1000 * s) for s in seconds]
         drawn[0].save(buffer, "gif", save_all=True, append_images=drawn[1:], duration=durations, loop=0, optimize=False)
-        if buffer.tell() <= MOST_GIF:
+        if buffer.tell() <= MAX_GIF:
             path.write_bytes(buffer.getvalue())
             logger.info("%s: %d x %d, %d frames, %d kB", path, *size, len(drawn), buffer.tell() // 1000)
             return

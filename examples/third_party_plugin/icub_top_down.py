@@ -11,7 +11,7 @@ class TopDown(GraspGenerator):
     """The palm straight down onto the middle of the object, turned about the vertical until the arm can reach it.
 
     Args:
-        clearance: Height of the hand frame above the object's top, metres.
+        clearance: Height of the hand frame above the object's top, meters.
     """
 
     def __init__(self, clearance: float = 0.04):

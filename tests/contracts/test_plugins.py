@@ -8,7 +8,7 @@ from icub_core.commands.plugins import every_plugin
 from icub_core.kinds import KINDS
 from icub_core.registry import PluginInfo
 from icub_testing.checks import checks
-from icub_testing.fakes import with_tiny_company
+from icub_testing.fakes import with_tiny_dependencies
 
 TESTS = Path(__file__).resolve().parents[1]
 WITH_THEIR_DATA = {
@@ -43,7 +43,7 @@ HERE = [plugin for plugin in _own() if plugin.kind not in WITH_THEIR_DATA]
     ],
 )
 def test_contract(plugin, check):
-    checks(plugin.kind)[check](with_tiny_company(plugin.kind, plugin.name))
+    checks(plugin.kind)[check](with_tiny_dependencies(plugin.kind, plugin.name))
 
 
 @pytest.mark.parametrize("plugin", [p for p in _own() if p.kind in WITH_THEIR_DATA], ids=lambda p: f"{p.kind}-{p.name}")

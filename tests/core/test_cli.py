@@ -327,9 +327,7 @@ def test_a_plugin_is_shown_with_parameters_and_needs(tiny, capsys):
 def test_checking_a_good_plugin_gives_0_and_a_bad_one_1(tiny, install, capsys):
     assert main(["plugins", "check", "objects", "tiny"]) == 0
     assert "7 of 7 kept" in capsys.readouterr().out
-    source = (
-        "from icub_testing.tiny.things import TinyObjects\nclass Bad(TinyObjects):\n    names = ('red', 'red')\n"
-    )
+    source = "from icub_testing.tiny.things import TinyObjects\nclass Bad(TinyObjects):\n    names = ('red', 'red')\n"
     install("bad", {"icub.objects": {"bad": "bad_module:Bad"}}, {"bad_module.py": source})
     assert main(["plugins", "check", "objects", "bad"]) == 1
     text = capsys.readouterr().out

@@ -59,7 +59,7 @@ def test_look_at_keeps_the_picture_upright():
     assert T[2, 1] < 0  # the camera's y axis points down in the world
 
 
-def test_backing_off_moves_along_the_line_from_centre_to_hand():
+def test_backing_off_moves_along_the_line_from_center_to_hand():
     T = geometry.make_transform(translation=[0.1, 0.0, 0.2])
     grasp = Grasp(T, np.array([0.1, 0.0, 0.1]), 1.0, "test")
     np.testing.assert_allclose(grasp.backed_off(0.05)[:3, 3], [0.1, 0.0, 0.25])

@@ -30,7 +30,7 @@ def test_a_third_party_plugin_is_loaded_and_built(install):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_announced_name_has_a_target_of_its_own(kind):
-    assert all(not plugin.rivals for plugin in registry.available(kind).values())
+    assert all(not plugin.conflicts for plugin in registry.available(kind).values())
 
 
 def test_an_unknown_kind_names_the_nearest():

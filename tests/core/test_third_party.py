@@ -79,7 +79,7 @@ def test_it_is_about_twenty_lines():
     assert len(code) - begin <= 24
 
 
-def test_a_broken_neighbour_does_not_disturb_it(installed, tmp_path):
+def test_a_broken_neighbor_does_not_disturb_it(installed, tmp_path):
     environment = _add_broken(installed, tmp_path / "broken")
     done = _icub(environment, "plugins", "list", "grasp_generator")
     assert done.returncode == 0

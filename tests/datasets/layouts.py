@@ -30,7 +30,7 @@ def write_png(path: Path, image: np.ndarray) -> None:
 
 
 def write_bop_scene(folder: Path, images: list[int], object_ids: list[int], hidden: int | None = None) -> None:
-    """Write a BOP scene: camera turned about z, half a metre up; object `hidden` (index) shows no pixel."""
+    """Write a BOP scene: camera turned about z, half a meter up; object `hidden` (index) shows no pixel."""
     truth, info, cameras = {}, {}, {}
     for image in images:
         name = f"{image:06d}"
@@ -100,7 +100,7 @@ def write_coco(root: Path) -> Path:
     from faster_coco_eval import mask as rle
 
     write_png(root / "val2017" / "000000000139.jpg", picture(1))
-    write_png(root / "val2017" / "000000000285.jpg", picture(2)[..., 0])  # grey
+    write_png(root / "val2017" / "000000000285.jpg", picture(2)[..., 0])  # gray
     compressed = rle.encode(np.asfortranarray((rectangle(5, 6, 15, 26) > 0).astype(np.uint8)))
     counts = compressed["counts"]
     compressed["counts"] = counts.decode() if isinstance(counts, bytes) else counts
@@ -128,12 +128,12 @@ def write_coco(root: Path) -> Path:
 
 
 def write_image_folder(root: Path) -> Path:
-    """A colour JPEG with two cups, a grey PNG of another size, one with alpha, one without anything in it."""
+    """A color JPEG with two cups, a gray PNG of another size, one with alpha, one without anything in it."""
     write_png(root / "images" / "kitchen.jpg", picture(1))
     write_png(root / "masks" / "kitchen" / "cup.png", rectangle(2, 2, 20, 20))
     write_png(root / "masks" / "kitchen" / "cup.2.png", rectangle(30, 2, 50, 20))
-    write_png(root / "images" / "grey.png", picture(2, (30, 40))[..., 0])
-    write_png(root / "masks" / "grey" / "box.png", rectangle(1, 1, 9, 9, (30, 40)) // 255)
+    write_png(root / "images" / "gray.png", picture(2, (30, 40))[..., 0])
+    write_png(root / "masks" / "gray" / "box.png", rectangle(1, 1, 9, 9, (30, 40)) // 255)
     write_png(root / "images" / "glass.png", np.dstack([picture(3), np.full((H, W), 128, np.uint8)]))
     write_png(root / "masks" / "glass" / "box.png", np.dstack([rectangle(5, 5, 9, 9)] * 3))
     write_png(root / "images" / "nothing.png", picture(4).astype(np.uint16) * 257)

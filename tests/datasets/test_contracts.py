@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from icub_core.config.schema import constructor_arguments
-from icub_testing.contracts import DatasetContract
 from icub_datasets.coco import Coco
 from icub_datasets.ho3d import SEQUENCES, Ho3d
 from icub_datasets.image_folder import ImageFolder
 from icub_datasets.rendered.handheld import RenderedHandheld
 from icub_datasets.rendered.tabletop import RenderedTabletop
 from icub_datasets.ycb_video import YcbVideo
+from icub_testing.contracts import DatasetContract
 
 _spec = importlib.util.spec_from_file_location("dataset_layouts", Path(__file__).parent / "layouts.py")
 layouts = importlib.util.module_from_spec(_spec)

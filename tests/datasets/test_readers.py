@@ -50,7 +50,7 @@ def test_ycb_video_frame(ycb_video):
     np.testing.assert_array_equal(frame.rgb, layouts.picture(8)[..., ::-1])  # written as BGR
     assert frame.depth[0, 0] == pytest.approx(0.5008)  # 5008 units of 0.1 mm
     assert frame.intrinsics[0, 0] == pytest.approx(106.7)
-    # the camera looks along z of a world that is 0.5 m before it: its centre is where w2c gives 0
+    # the camera looks along z of a world that is 0.5 m before it: its center is where w2c gives 0
     import cv2
 
     rotation = cv2.Rodrigues(np.array([0.3, -0.2, 0.9]))[0]
@@ -108,9 +108,9 @@ def test_coco_decodes_every_kind_of_annotation(tmp_path):
     assert instances[0].box == pytest.approx([20, 10, 30, 20], abs=1)
     assert instances[1].box.tolist() == [5, 6, 15, 26]
     assert instances[2].box.tolist() == [40, 2, 50, 12]
-    grey, nothing = dataset[1]
+    gray, nothing = dataset[1]
     assert nothing == ()
-    assert (grey.rgb[..., 0] == grey.rgb[..., 2]).all()
+    assert (gray.rgb[..., 0] == gray.rgb[..., 2]).all()
 
 
 def test_image_folder_reads_any_image(tmp_path):
@@ -120,8 +120,8 @@ def test_image_folder_reads_any_image(tmp_path):
     frame, instances = samples["kitchen"]
     assert [i.label for i in instances] == ["cup", "cup"]
     assert frame.depth[0, 0] == pytest.approx(0.75)
-    assert samples["grey"][0].rgb.shape == (30, 40, 3)
-    assert samples["grey"][1][0].box.tolist() == [1, 1, 9, 9]  # masks of 0 and 1 count too
+    assert samples["gray"][0].rgb.shape == (30, 40, 3)
+    assert samples["gray"][1][0].box.tolist() == [1, 1, 9, 9]  # masks of 0 and 1 count too
     np.testing.assert_array_equal(samples["glass"][0].rgb, layouts.picture(3)[..., ::-1])
     np.testing.assert_array_equal(samples["nothing"][0].rgb, layouts.picture(4)[..., ::-1])  # 16 bits
     assert samples["nothing"][1] == ()
@@ -170,7 +170,7 @@ def test_unknown_splits_and_choices_name_the_nearest(ycb_video):
         YcbVideo(path=ycb_video, on_error="skipp")
 
 
-def test_a_partial_download_is_recognised(ycb_video):
+def test_a_partial_download_is_recognized(ycb_video):
     (ycb_video / "test" / "000049" / "rgb" / "000003.png").unlink()
     with pytest.raises(DataError, match="lacks 1 of 3 key frames, first 000049/000003"):
         YcbVideo(path=ycb_video, split="test")

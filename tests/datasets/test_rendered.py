@@ -259,10 +259,10 @@ def test_hands_close_around_objects_and_leave_on_one_side(half_extents):
         spannable = 2 * half_extents[grip.closing] <= WIDEST_GRIP
         assert spannable or half_extents[grip.closing] == min(half_extents)
         hand = hand_around(half_extents, grip, "hand", (0.8, 0.6, 0.5))
-        centres = np.array([g.position for g in hand.collision])
-        along = centres @ grip.arm_direction
+        centers = np.array([g.position for g in hand.collision])
+        along = centers @ grip.arm_direction
         assert along.max() > half_extents[grip.arm] + 0.1  # the forearm leaves on the arm's side
-        closing = centres[:, grip.closing]
+        closing = centers[:, grip.closing]
         assert closing.max() > half_extents[grip.closing]  # fingers on one side, thumb on the other
         assert closing.min() < -half_extents[grip.closing]
 

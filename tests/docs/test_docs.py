@@ -1,4 +1,4 @@
-"""What README and docs say exists: files, plugins, parameters, benchmarks, figures, pictures of a bearable size."""
+"""What README and docs say exists: files, plugins, parameters, benchmarks, figures, images of a bearable size."""
 
 import json
 import re

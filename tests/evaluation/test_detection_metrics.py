@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from icub_benchmarks.segmentation.voc import average_precision, evaluate_voc
 from icub_core.data import Instance
 from icub_core.errors import ConfigError, DataError
 from icub_core.evaluation.detection import evaluate_instances
 from icub_core.evaluation.overlap import box_iou, mask_iou
 from icub_core.evaluation.proposals import average_recall, best_overlaps, recall
-from icub_benchmarks.segmentation.voc import average_precision, evaluate_voc
 
 H, W = 24, 32
 
@@ -171,7 +171,7 @@ def test_rules_differ_where_they_should():
     assert evaluate_instances(truth, found, ["cup"]).map50_segm == pytest.approx(51 / 101)
     assert evaluate_voc(truth, found, ["cup"], "11-point").map50_segm == pytest.approx(6 / 11)
     assert evaluate_voc(truth, found, ["cup"], "area").map50_segm == pytest.approx(0.5)
-    # a second prediction whose best overlap is taken: VOC calls it false, COCO gives it to the neighbour it also covers
+    # a second prediction whose best overlap is taken: VOC calls it false, COCO gives it to the neighbor it also covers
     truth = [[rectangle("cup", 0, 0, 10, 10), rectangle("cup", 0, 1, 10, 11)]]
     found = [[rectangle("cup", 0, 0, 10, 10, 0.9), rectangle("cup", 0, 0, 10, 10, 0.8)]]
     assert evaluate_instances(truth, found, ["cup"]).map50_bbox == pytest.approx(1.0)
@@ -245,9 +245,7 @@ def test_unknown_rule_names_the_nearest():
 def test_the_core_does_not_import_the_library_by_itself():
     import subprocess
 
-    code = (
-        "import sys, icub_core.evaluation.detection, icub_benchmarks.segmentation.voc; print('faster_coco_eval' in sys.modules)"
-    )
+    code = "import sys, icub_core.evaluation.detection, icub_benchmarks.segmentation.voc; print('faster_coco_eval' in sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "False"
 

@@ -13,29 +13,29 @@ import numpy as np
 import pytest
 import torch
 
-from icub_core.data import Instance, RgbdFrame
-from icub_core.errors import ConfigError, DataError, NotFittedError
-from icub_core.evaluation.detection import MEAN_NAMES
 from icub_benchmarks.segmentation.head_clock import clocked_heads, heads_share
 from icub_benchmarks.segmentation.trial import Trial, run_trial
 from icub_benchmarks.segmentation.trial_report import markdown_table, plot_over_time
+from icub_core.data import Instance, RgbdFrame
+from icub_core.errors import ConfigError, DataError, NotFittedError
+from icub_core.evaluation.detection import MEAN_NAMES
 from icub_core.geometry import pinhole
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 from icub_segmenters.heads.linear import Linear
 
-COLOURS = {"red": (200, 20, 20), "green": (20, 200, 20), "blue": (20, 20, 200)}
+COLORS = {"red": (200, 20, 20), "green": (20, 200, 20), "blue": (20, 20, 200)}
 
 
 class Squares(Dataset):
-    """Coloured squares on black."""
+    """Colored squares on black."""
 
     def __init__(self, frames):
         self._frames = frames
 
     @property
     def classes(self):
-        return tuple(COLOURS)
+        return tuple(COLORS)
 
     def __len__(self):
         return len(self._frames)
@@ -46,14 +46,14 @@ class Squares(Dataset):
         for i, label in enumerate(self._frames[index]):
             mask = np.zeros((20, 60), bool)
             mask[5:15, 20 * i + 3 : 20 * i + 13] = True
-            rgb[mask] = COLOURS[label]
+            rgb[mask] = COLORS[label]
             instances.append(Instance.from_mask(label, mask))
         frame = RgbdFrame(rgb, np.zeros((20, 60), np.float32), pinhole(60, 20, 0.7), np.eye(4), stamp=float(index))
         return frame, tuple(instances)
 
 
-class ByColour(Segmenter):
-    """Learns the mean colour of each class and finds the pixels that have it."""
+class ByColor(Segmenter):
+    """Learns the mean color of each class and finds the pixels that have it."""
 
     def __init__(self):
         self.calls, self._seen, self._known = [], {}, {}
@@ -67,15 +67,15 @@ class ByColour(Segmenter):
     def update(self):
         self.calls.append("update")
         time.sleep(0.15)
-        self._known = {label: np.mean(colours, axis=0) for label, colours in self._seen.items()}
+        self._known = {label: np.mean(colors, axis=0) for label, colors in self._seen.items()}
         return UpdateReport(0.15, {"detection": 0.02, "masks": 0.01}, self.classes)
 
     def segment(self, frame):
         if not self._known:
             raise NotFittedError("nothing was taught")
         found = []
-        for label, colour in self._known.items():
-            mask = np.abs(frame.rgb - colour).sum(axis=2) < 30
+        for label, color in self._known.items():
+            mask = np.abs(frame.rgb - color).sum(axis=2) < 30
             if mask.any():
                 found.append(Instance.from_mask(label, mask, score=1.0))
         return tuple(found)
@@ -92,7 +92,7 @@ class ByColour(Segmenter):
 
 
 def test_a_trial_teaches_in_order_updates_once_and_measures():
-    segmenter, shares = ByColour(), []
+    segmenter, shares = ByColor(), []
     train = Squares([["red"], ["green"], ["red", "green"]])
     test = Squares([["green", "red"], ["red", "blue"]])
     trial = run_trial(segmenter, train, test, lambda share, text: shares.append(share))
@@ -110,7 +110,7 @@ def test_a_trial_teaches_in_order_updates_once_and_measures():
 
 
 def test_two_instances_taken_for_one_are_no_hit():
-    trial = run_trial(ByColour(), Squares([["red"]]), Squares([["red", "red"]]), lambda share, text: None)
+    trial = run_trial(ByColor(), Squares([["red"]]), Squares([["red", "red"]]), lambda share, text: None)
     assert trial.metrics.map70_segm == 0.0  # one mask over both covers each by a half
     assert math.isclose(trial.metrics.map50_segm, 51 / 101)
     assert math.isclose(trial.voc["11-point"]["map50_segm"], 6 / 11)
@@ -119,9 +119,9 @@ def test_two_instances_taken_for_one_are_no_hit():
 
 def test_nothing_to_learn_or_to_examine_is_refused():
     with pytest.raises(DataError, match="none of the 2 training frames"):
-        run_trial(ByColour(), Squares([[], []]), Squares([["red"]]), lambda share, text: None)
+        run_trial(ByColor(), Squares([[], []]), Squares([["red"]]), lambda share, text: None)
     with pytest.raises(DataError, match="no readable frame"):
-        run_trial(ByColour(), Squares([["red"]]), Squares([]), lambda share, text: None)
+        run_trial(ByColor(), Squares([["red"]]), Squares([]), lambda share, text: None)
 
 
 @pytest.fixture(scope="module")
@@ -195,7 +195,7 @@ def test_the_share_of_the_heads_is_the_time_in_their_decision_functions():
     head = Linear()
     head.fit(torch.randn(20, 3), torch.ones(20, 1))
 
-    class Asking(ByColour):
+    class Asking(ByColor):
         def segment(self, frame):
             time.sleep(0.01)
             head.decision_function(torch.zeros(2, 3))

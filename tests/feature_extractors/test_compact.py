@@ -33,7 +33,7 @@ def extractor():
 
 
 def picture(height=240, width=320):
-    """A drawn scene: grey table, a striped box and a can; returns the image and the two boxes."""
+    """A drawn scene: gray table, a striped box and a can; returns the image and the two boxes."""
     y, x = np.mgrid[0:240, 0:320]
     image = np.stack([120 + y // 8, 110 + y // 8, 100 + x // 16], axis=-1).astype(np.uint8)
     cv2.rectangle(image, (60, 80), (119, 169), (200, 40, 40), -1)
@@ -89,7 +89,7 @@ def test_the_same_image_gives_the_same_numbers_and_nothing_is_changed(extractor)
     assert torch.equal(extractor.mask_features(first, boxes), extractor.mask_features(second, boxes))
 
 
-def test_a_region_does_not_depend_on_its_company(extractor):
+def test_a_region_does_not_depend_on_its_dependencies(extractor):
     image, boxes = picture()
     features = extractor.extract(image)
     together = extractor.region_features(features, torch.cat([boxes, features.proposals]))[:2]
@@ -108,9 +108,9 @@ def test_no_boxes_give_no_features(extractor):
 
 def test_grey_images_and_alpha_are_understood(extractor):
     image, boxes = picture()
-    grey = image[..., 0]
-    expected = extractor.region_features(extractor.extract(np.repeat(grey[..., None], 3, axis=2)), boxes)
-    for variant in (grey, grey[..., None]):
+    gray = image[..., 0]
+    expected = extractor.region_features(extractor.extract(np.repeat(gray[..., None], 3, axis=2)), boxes)
+    for variant in (gray, gray[..., None]):
         assert torch.equal(extractor.region_features(extractor.extract(variant), boxes), expected)
     alpha = np.concatenate([image, np.zeros_like(image[..., :1])], axis=2)
     assert torch.equal(extractor.extract(alpha).proposals, extractor.extract(image).proposals)
@@ -145,9 +145,9 @@ def test_the_pretrained_mask_separates_an_object_from_its_surroundings(extractor
     wide = boxes + torch.tensor([-12.0, -12.0, 12.0, 12.0])
     masks = extractor.mask_probabilities(extractor.extract(image), wide)
     side = masks.shape[1]
-    centre = masks[:, side // 2 - 3 : side // 2 + 3, side // 2 - 3 : side // 2 + 3].mean((1, 2))
+    center = masks[:, side // 2 - 3 : side // 2 + 3, side // 2 - 3 : side // 2 + 3].mean((1, 2))
     rim = torch.cat([masks[:, 0], masks[:, -1], masks[:, :, 0], masks[:, :, -1]], dim=1).mean(1)
-    assert (centre > 0.6).all()
+    assert (center > 0.6).all()
     assert (rim < 0.4).all()
 
 
@@ -173,12 +173,12 @@ def test_sizes_that_make_no_sense_are_refused(wrong):
         CompactMaskRcnn(**wrong)
 
 
-def test_folding_batch_normalisation_changes_nothing():
+def test_folding_batch_normalization_changes_nothing():
     network = load_compact(SHIPPED / "compact.safetensors")[0].eval()
     image = torch.from_numpy(picture()[0]).permute(2, 0, 1)[None].float()
     with torch.no_grad():
-        before, low = network.backbone(network.normalise(image))
-        after, low_after = fold_batch_norm(network).backbone(network.normalise(image))
+        before, low = network.backbone(network.normalize(image))
+        after, low_after = fold_batch_norm(network).backbone(network.normalize(image))
     assert not any(isinstance(m, torch.nn.BatchNorm2d) for m in network.modules())
     for name in before:
         assert torch.allclose(before[name], after[name], atol=1e-3)
@@ -271,7 +271,7 @@ def test_another_architecture_is_refused(tmp_path):
 
 
 class DrawnTask:
-    """A picture with two labelled objects, moved about; no renderer."""
+    """A image with two labeled objects, moved about; no renderer."""
 
     label_count = 2
 

@@ -9,13 +9,13 @@ import pytest
 import torch
 from torchvision.models.detection import maskrcnn_resnet50_fpn
 
-from icub_testing.contracts import DatasetContract, FeatureExtractorContract
 from icub_datasets.feature_task import cache
-from icub_datasets.feature_task.renderer import LabelledImage
+from icub_datasets.feature_task.renderer import LabeledImage
 from icub_datasets.feature_task.task import FeatureTask
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
 from icub_segmenters.feature_extractors.resnet_c4 import ResNet50C4
 from icub_segmenters.feature_extractors.resnet_fpn import ResNet50Fpn
+from icub_testing.contracts import DatasetContract, FeatureExtractorContract
 
 
 class TestCompact(FeatureExtractorContract):
@@ -74,7 +74,7 @@ class TestFeatureTask(DatasetContract):
                 instances = np.zeros((240, 320), np.uint8)
                 instances[20:90, 30:120], instances[150:200, 200:300] = 1, 2
                 rgb = rng.integers(0, 256, (240, 320, 3), dtype=np.uint8)
-                frames.append(LabelledImage(rgb, instances, np.array([3, 150])))
+                frames.append(LabeledImage(rgb, instances, np.array([3, 150])))
             cache._write_shard(cache._shard_path(tmp_path, "train", shard), frames)
         return lambda: FeatureTask(tmp_path, frames=6)
 

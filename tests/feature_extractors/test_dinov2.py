@@ -6,8 +6,8 @@ import torch
 from torch.nn import functional
 
 from icub_core.errors import WeightsError
-from icub_testing.contracts import FeatureExtractorContract
 from icub_segmenters.feature_extractors.dinov2 import DinoV2, load_transformer
+from icub_testing.contracts import FeatureExtractorContract
 
 DIM, DEPTH, SIDE = 128, 2, 5
 

@@ -16,7 +16,7 @@ from icub_datasets.feature_task.objects import (
     read_obj,
     resembles_ycb,
 )
-from icub_datasets.feature_task.renderer import MIN_PIXELS, FeatureTaskRenderer, LabelledImage
+from icub_datasets.feature_task.renderer import MIN_PIXELS, FeatureTaskRenderer, LabeledImage
 from icub_datasets.feature_task.task import FeatureTask
 from icub_datasets.feature_task.textures import background_texture, product_texture
 
@@ -65,7 +65,7 @@ def test_no_class_has_the_size_of_an_object_that_is_taught_later(objects):
 
 
 @given(st.sampled_from(sorted(YCB_SIZES)), st.permutations([0, 1, 2]), st.floats(0.95, 1.05))
-def test_a_ycb_sized_box_is_recognised_in_any_orientation(name, order, scale):
+def test_a_ycb_sized_box_is_recognized_in_any_orientation(name, order, scale):
     size = np.array(YCB_SIZES[name])[list(order)] * scale
     assert resembles_ycb(size) is not None
 
@@ -130,8 +130,8 @@ def test_masks_are_exactly_the_pixels_of_the_objects(renderer):
         assert np.array_equal(classes[kept], known[kept])
 
 
-def test_object_colours_appear_where_the_mask_says(renderer):
-    """With all lamps' shadows gone, hiding an object changes colours inside its mask and little elsewhere."""
+def test_object_colors_appear_where_the_mask_says(renderer):
+    """With all lamps' shadows gone, hiding an object changes colors inside its mask and little elsewhere."""
     image = frame_with_objects(renderer)
     model = renderer._model
     cast = model.light_castshadow.copy()
@@ -147,7 +147,7 @@ def test_object_colours_appear_where_the_mask_says(renderer):
     changed = np.abs(with_object - without).max(axis=2) > 12
     inside = image.instances == largest + 1
     assert changed[inside].mean() > 0.6
-    # one pixel of border: colours are smoothed by multisampling, the masks are not
+    # one pixel of border: colors are smoothed by multisampling, the masks are not
     from scipy.ndimage import binary_dilation
 
     assert not (changed & ~binary_dilation(inside, iterations=2)).any()
@@ -182,14 +182,14 @@ def test_augmentation_keeps_labels_and_masks_together(pictures, seed):
         assert np.array_equal(picture.instances, instances)
 
 
-def test_a_pasted_object_has_its_colour_under_its_mask():
+def test_a_pasted_object_has_its_color_under_its_mask():
     height, width = 240, 320
     red = np.zeros((height, width, 3), np.uint8)
     instances = np.zeros((height, width), np.uint8)
     red[100:150, 100:160] = (255, 0, 0)
     instances[100:150, 100:160] = 1
-    source = LabelledImage(red, instances, np.array([7]))
-    empty = LabelledImage(np.zeros_like(red), np.zeros_like(instances), np.zeros(0, np.int64))
+    source = LabeledImage(red, instances, np.array([7]))
+    empty = LabeledImage(np.zeros_like(red), np.zeros_like(instances), np.zeros(0, np.int64))
     out = copy_paste(np.random.default_rng(0), empty, source)
     assert out.labels.tolist() == [7]
     inside = out.instances == 1
@@ -201,7 +201,7 @@ def test_the_cache_gives_back_what_was_rendered_and_goes_on_where_it_stopped(tmp
     monkeypatch.setattr(cache, "SHARD_FRAMES", 2)
     rng = np.random.default_rng(0)
     frames = [
-        LabelledImage(
+        LabeledImage(
             np.full((240, 320, 3), v, np.uint8),
             np.where(rng.random((240, 320)) < 0.5, 1, 2).astype(np.uint8),
             np.array([v, v + 1]),
@@ -224,10 +224,10 @@ def test_the_cache_gives_back_what_was_rendered_and_goes_on_where_it_stopped(tmp
 
 def test_a_damaged_or_missing_shard_is_named(tmp_path):
     with pytest.raises(DataError, match="lacks 1 of 1 shards.*prepare"):
-        FeatureTask(tmp_path, frames=100).labelled(0)
+        FeatureTask(tmp_path, frames=100).labeled(0)
     (tmp_path / "train_0000.npz").write_bytes(b"PK\x03\x04 cut short")
     with pytest.raises(DataError, match=r"train_0000\.npz"):
-        FeatureTask(tmp_path, frames=100).labelled(0)
+        FeatureTask(tmp_path, frames=100).labeled(0)
 
 
 def test_a_folder_of_another_seed_is_refused(tmp_path):
@@ -248,15 +248,15 @@ def test_generation_resumes_and_both_splits_differ(tmp_path):
     task = FeatureTask(tmp_path, frames=200)
     task.prepare()
     kept = (tmp_path / "train_0000.npz").stat().st_mtime_ns
-    first = task.labelled(150).rgb
+    first = task.labeled(150).rgb
     (tmp_path / "train_0001.npz").unlink()
     again = FeatureTask(tmp_path, frames=200)
     again.prepare()
     assert (tmp_path / "train_0000.npz").stat().st_mtime_ns == kept
-    assert np.array_equal(again.labelled(150).rgb, first)
+    assert np.array_equal(again.labeled(150).rgb, first)
     unseen = FeatureTask(tmp_path, "validation", frames=100)
     unseen.prepare()
-    assert not np.array_equal(unseen.labelled(0).rgb, task.labelled(0).rgb)
+    assert not np.array_equal(unseen.labeled(0).rgb, task.labeled(0).rgb)
     frame, instances = unseen[0]
     assert frame.rgb.shape == (240, 320, 3)
     assert {i.label for i in instances} <= set(unseen.classes)

@@ -17,7 +17,7 @@ SOLID = Superquadric.from_parts(HALF, np.array([0.05, 0.05]), np.eye(3), CENTER)
 
 
 def picture(count: int = 3000, seed: int = 0) -> np.ndarray:
-    """Points of the carton as a camera spreads them: evenly over the picture."""
+    """Points of the carton as a camera spreads them: evenly over the image."""
     rng = np.random.default_rng(seed)
     local, normals = surface("box", HALF, rng, 60_000)
     points = local + CENTER
@@ -27,7 +27,7 @@ def picture(count: int = 3000, seed: int = 0) -> np.ndarray:
 
 
 def hand_at(height: float) -> np.ndarray:
-    """A hand from the side, its fingers closing along the world's x axis, `height` metres above the carton's middle."""
+    """A hand from the side, its fingers closing along the world's x axis, `height` meters above the carton's middle."""
     R = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]).T
     return make_transform(R, CENTER + [0, 0, height] - R @ np.array([0.033, -0.002, 0.03]))[None]
 

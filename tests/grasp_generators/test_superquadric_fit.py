@@ -24,7 +24,7 @@ def all_around(noise: float = 0.0005, seed: int = 0) -> np.ndarray:
 
 
 def worst_distance(a: Superquadric, b: Superquadric) -> float:
-    """Largest distance of the surface of one from the other, metres."""
+    """Largest distance of the surface of one from the other, meters."""
     return max(float(np.abs(a.distance(b.surface(400))).max()), float(np.abs(b.distance(a.surface(400))).max()))
 
 
@@ -111,7 +111,7 @@ BAD = {
     "three points": (np.eye(3), "3 points"),
     "not finite": (np.full((100, 3), np.nan), "not finite"),
     "one infinite": (np.concatenate([all_around(), [[np.inf, 0, 0]]]), "1 of the cloud's 501 points"),
-    "in millimetres": (all_around() * 1e3, "at most 1.0 m"),
+    "in millimeters": (all_around() * 1e3, "at most 1.0 m"),
     "one place": (np.full((100, 3), 0.5), "within"),
     "collinear": (line(), "one line"),
 }

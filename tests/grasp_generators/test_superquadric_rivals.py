@@ -29,7 +29,7 @@ def EMS_recovery(points, AdaptiveUpperBound=False):
 
 
 @pytest.fixture
-def rivals(monkeypatch):
+def baselines(monkeypatch):
     for name in ("EMS", "EMS.EMS_recovery", "mayavi", "plyfile"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setattr(np, "int", int, raising=False)
@@ -51,19 +51,19 @@ def checkout(folder: Path, text: str) -> Path:
     return folder
 
 
-def test_a_folder_without_ems_is_one_line(rivals, tmp_path):
+def test_a_folder_without_ems_is_one_line(baselines, tmp_path):
     with pytest.raises(ConfigError, match="holds no package EMS"):
-        rivals.load_ems(tmp_path)
+        baselines.load_ems(tmp_path)
 
 
-def test_a_missing_compiler_is_named(rivals, tmp_path):
+def test_a_missing_compiler_is_named(baselines, tmp_path):
     with pytest.raises(ConfigError, match="numba") as caught:
-        rivals.load_ems(checkout(tmp_path, "import numba_that_is_not_there"))
+        baselines.load_ems(checkout(tmp_path, "import numba_that_is_not_there"))
     assert "\n" not in str(caught.value)
 
 
-def test_ems_is_called_and_its_failure_counts_as_one(rivals, tmp_path):
-    fit = rivals.load_ems(checkout(tmp_path, FAKE))
+def test_ems_is_called_and_its_failure_counts_as_one(baselines, tmp_path):
+    fit = baselines.load_ems(checkout(tmp_path, FAKE))
     points = np.random.default_rng(0).normal(size=(50, 3))
     found = fit(points)
     np.testing.assert_allclose(found.center, points.mean(axis=0))
@@ -71,8 +71,8 @@ def test_ems_is_called_and_its_failure_counts_as_one(rivals, tmp_path):
     assert np.isnan(fit(points[:5]).center).all()
 
 
-def test_the_scipy_fit_finds_an_ellipsoid_seen_without_outliers(rivals):
+def test_the_scipy_fit_finds_an_ellipsoid_seen_without_outliers(baselines):
     view = single_view("ellipsoid", np.random.default_rng(1), outliers=0.0, noise=0.0)
-    found = rivals.scipy_fit(view.points)
+    found = baselines.scipy_fit(view.points)
     assert np.all(np.isfinite(found.half_axes))
     assert np.linalg.norm(found.center - view.center) < 0.06

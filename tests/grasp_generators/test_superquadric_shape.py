@@ -146,7 +146,7 @@ def test_outline_agrees_with_its_area_and_with_finite_differences(half, exponent
 def test_viewer_of_a_box_follows_from_its_mean_visible_normal():
     half, view = np.array([0.02, 0.05, 0.08]), np.array([0.4, 0.5, 0.77])
     faces = np.array([half[1] * half[2], half[0] * half[2], half[0] * half[1]])
-    mean_normal = view * faces / (view * faces).sum()  # each face weighs with its area in the picture
+    mean_normal = view * faces / (view * faces).sum()  # each face weighs with its area in the image
     found = viewers(solids_of(half, (0.05, 0.05), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), mean_normal[None])[0]
     np.testing.assert_allclose(found / np.linalg.norm(found), view / np.linalg.norm(view), atol=1e-9)
 

@@ -190,7 +190,7 @@ def quick(monkeypatch):
     parts = tuple(training.Part(p.name, p.pose, MadeUp, p.data, 0.05, 0.4) for p in training.PARTS)
     monkeypatch.setattr(training, "PARTS", parts)
     monkeypatch.setattr(training, "JUDGE_SHARE", 0.1)
-    monkeypatch.setattr(training, "MOST_BATCHES", 2)
+    monkeypatch.setattr(training, "MAX_BATCHES", 2)
     monkeypatch.setattr(network_training, "SCENES_PER_STEP", 2)
     monkeypatch.setattr(network_training, "VARIANTS", 2)
     monkeypatch.setattr(judge_training, "BATCH", 8)
@@ -238,15 +238,15 @@ def test_learning_tells_held_from_missed():
     torch.manual_seed(0)
     network = network_training.VgnNetwork()
     fields = network_training.Fields([scene(0, 0), scene(1, 1)], "hand", 0)
-    optimiser = torch.optim.Adam(network.parameters(), 3e-3)
+    optimizer = torch.optim.Adam(network.parameters(), 3e-3)
     network_training.SCENES_PER_STEP, before = 4, network_training.SCENES_PER_STEP
     try:
         for step in range(20):
             batch = fields.batch(step)
             loss = network_training.loss_of(network.at_voxels(batch.tsdf, batch.scene, batch.index), batch, "hand")
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             loss.backward()
-            optimiser.step()
+            optimizer.step()
     finally:
         network_training.SCENES_PER_STEP = before
     figures = network_training.evaluate(network, [scene(9, 5)], "hand")

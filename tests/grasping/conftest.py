@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from icub_core import registry
-from icub_tasks.grasping.task import GraspTask
 from icub_core.scene import Scene
+from icub_tasks.grasping.task import GraspTask
 
 MakeTasks = Callable[..., list[GraspTask]]
 

@@ -10,6 +10,9 @@ from gymnasium.utils.env_checker import check_env
 from torchrl.envs.utils import check_env_specs
 
 from icub_core.errors import ConfigError, SimulationError
+from icub_core.interfaces.policy import Policy
+from icub_core.interfaces.simulator import Fault
+from icub_policies.demonstrations import Demonstrations
 from icub_tasks.grasping.env import GraspEnv
 from icub_tasks.grasping.evaluation import evaluate
 from icub_tasks.grasping.gym_adapter import GymGraspEnv
@@ -17,9 +20,6 @@ from icub_tasks.grasping.spaces import ACTION_SIZE, OBSERVATION_SIZES
 from icub_tasks.grasping.task import GraspTask
 from icub_tasks.grasping.termination import EndReason
 from icub_tasks.grasping.visual import VisualEncoder, flare
-from icub_core.interfaces.policy import Policy
-from icub_core.interfaces.simulator import Fault
-from icub_policies.demonstrations import Demonstrations
 
 
 class Still(Policy):
@@ -101,7 +101,7 @@ def test_every_simulator_fault_becomes_a_typed_truncation_and_is_counted(make_ta
     assert after["fault"].item()
     assert after["truncated"].item()
     assert EndReason(after["reason"].item()).name == fault.name
-    assert env.batch.firewall.report() == {fault.name.lower(): 1}
+    assert env.batch.fault_filter.report() == {fault.name.lower(): 1}
 
 
 def test_the_commanded_hand_waits_at_the_edge_of_its_reach(make_tasks):

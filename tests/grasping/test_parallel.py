@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from icub_core import registry
 from icub_benchmarks import parallel
-from icub_tasks.grasping.evaluation import EpisodeResults, evaluate
 from icub_benchmarks.parallel import EnvRecipe, evaluate_in_workers
+from icub_core import registry
+from icub_tasks.grasping.evaluation import EpisodeResults, evaluate
 from icub_tasks.grasping.termination import FIRST_FAULT, EndReason
 
 
@@ -56,4 +56,4 @@ def test_the_number_of_workers_does_not_change_the_results():
     np.testing.assert_array_equal(there.steps, here.steps)
     np.testing.assert_array_equal(there.reasons, here.reasons)
     assert there.objects == here.objects
-    assert there.redraws == here.redraws
+    assert there.resamples == here.resamples

@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 from icub_core import registry
 from icub_core.errors import ConfigError
 from icub_core.geometry import rotation_exp, rotation_log
+from icub_core.interfaces.robot import Robot
 from icub_tasks.grasping.evaluation import EpisodeResults, paired_gain, wilson_interval
 from icub_tasks.grasping.spaces import euler_to_matrix, hand_layout, matrix_to_euler, pose_vector
 from icub_tasks.grasping.termination import EndReason, end_reasons
 from icub_tasks.grasping.tracking import HandTracker, small_rotation
-from icub_core.interfaces.robot import Robot
 
 
 @pytest.fixture(scope="module")

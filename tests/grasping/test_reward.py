@@ -27,7 +27,7 @@ def test_new_contacts_are_rewarded_and_lost_ones_punished():
     assert step(reward, 1) == pytest.approx(-2)
 
 
-def test_approaching_is_rewarded_in_centimetres_and_moving_away_punished():
+def test_approaching_is_rewarded_in_CENTIMETERS_and_moving_away_punished():
     reward = start(distance=0.05)
     assert step(reward, 0, distance=0.03) == pytest.approx(2)
     assert step(reward, 0, distance=0.04) == pytest.approx(-1)
@@ -41,7 +41,7 @@ def test_distance_counts_only_until_two_fingers_have_touched():
 
 
 @pytest.mark.parametrize(("contacts", "expected"), [(0, 0), (1, 0), (2, 2 * 2), (5, 5 * 2)])
-def test_a_rise_counts_in_millimetres_times_contacts_from_two_on(contacts, expected):
+def test_a_rise_counts_in_MILLIMETERS_times_contacts_from_two_on(contacts, expected):
     reward = start(contacts=contacts)
     assert step(reward, contacts, height=1.002) == pytest.approx(expected)
 

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from icub_benchmarks.grasps.judging import Judge, Pose
+from icub_benchmarks.grasps.validate import Outcome, plan_trial, run_trial
 from icub_core import registry
 from icub_core.data import Grasp
 from icub_core.errors import ConfigError
 from icub_core.geometry import make_transform, quat_wxyz_to_matrix
-from icub_benchmarks.grasps.judging import Judge, Pose
-from icub_benchmarks.grasps.validate import Verdict, plan_trial, run_trial
 from icub_core.scene import Scene
 
 NAME = "010_potted_meat_can"
@@ -58,18 +58,18 @@ def moved(grasp, **by):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_good_grasp_is_held(engine, robot, can, standing, grasp):
-    assert judged(engine, robot, can, standing, grasp) is Verdict.HELD
+    assert judged(engine, robot, can, standing, grasp) is Outcome.HELD
 
 
 def test_a_grasp_of_air_lifts_nothing(robot, can, standing, grasp):
-    assert judged("mujoco", robot, can, standing, moved(grasp, by=[0.0, 0.16, 0.02])) is Verdict.NOT_LIFTED
+    assert judged("mujoco", robot, can, standing, moved(grasp, by=[0.0, 0.16, 0.02])) is Outcome.NOT_LIFTED
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_grasp_inside_the_table_has_a_verdict(engine, robot, can, standing, grasp):
+def test_a_grasp_inside_the_table_has_a_outcome(engine, robot, can, standing, grasp):
     """The arm presses on the table; nothing breaks and nothing is held."""
     low = moved(grasp, by=[0.0, 0.3, -0.12])
-    assert judged(engine, robot, can, standing, low) in (Verdict.NOT_LIFTED, Verdict.FAULT)
+    assert judged(engine, robot, can, standing, low) in (Outcome.NOT_LIFTED, Outcome.FAULT)
 
 
 def test_a_can_without_friction_slips_out(robot, can, standing, grasp):
@@ -79,7 +79,7 @@ def test_a_can_without_friction_slips_out(robot, can, standing, grasp):
     simulator = registry.build("simulator", "mujoco")
     simulator.load(dataclasses.replace(description, contacts=slippery), Scene(objects=(soap,)))
     trial = plan_trial(robot, grasp, description.home_q)
-    assert run_trial(simulator, description, trial, NAME, standing) in (Verdict.NOT_LIFTED, Verdict.SHAKEN_OFF)
+    assert run_trial(simulator, description, trial, NAME, standing) in (Outcome.NOT_LIFTED, Outcome.SHAKEN_OFF)
     simulator.close()
 
 
@@ -108,5 +108,5 @@ def test_the_left_hand_is_judged_like_the_right_one(can, standing, grasp):
 def test_a_generator_s_grasp_is_judged_by_both_engines():
     judge = Judge("icub", "superquadrics", "ycb_primitives", ENGINES)
     outcome = judge(Pose(NAME, 0))
-    assert list(outcome.verdicts) == ENGINES
-    assert outcome.verdicts["mujoco"] is Verdict.HELD
+    assert list(outcome.outcomes) == ENGINES
+    assert outcome.outcomes["mujoco"] is Outcome.HELD

@@ -22,7 +22,7 @@ def test_every_check_of_scikit_learn_passes_without_exception(make):
     assert len(results) > 30
 
 
-def test_the_regressor_is_kernel_ridge_regression_on_centred_targets():
+def test_the_regressor_is_kernel_ridge_regression_on_centered_targets():
     X, y = make_regression(120, 4, noise=5.0, random_state=0)
     ours = FalkonRegressor(sigma=2.0, lam=1e-3).fit(X, y)
     theirs = KernelRidge(alpha=1e-3 * 120, kernel="rbf", gamma=1 / 8).fit(X, y - y.mean())

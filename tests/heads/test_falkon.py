@@ -25,7 +25,7 @@ def problem(n=300, d=6, t=3, seed=0, dtype=torch.float64):
 
 
 @pytest.mark.parametrize("solver", ["direct", "conjugate_gradients"])
-def test_with_all_samples_as_centres_it_is_kernel_ridge_regression(solver):
+def test_with_all_samples_as_centers_it_is_kernel_ridge_regression(solver):
     X, Y = problem()
     lam, sigma = 1e-3, 2.0
     head = Falkon(sigma=sigma, lam=lam, centers=len(X), solver=solver)
@@ -45,7 +45,7 @@ def test_every_kernel_solves_dense_kernel_ridge_regression(kernel, solver):
     head.fit(X, Y)
     k = make_kernel(kernel, sigma)
     reference = KernelRidge(alpha=lam * len(X), kernel="precomputed").fit(k(X, X).numpy(), Y.numpy())
-    # the linear kernel's matrix has rank 40: conjugate gradients see the jitter that its factorisation needs
+    # the linear kernel's matrix has rank 40: conjugate gradients see the jitter that its factorization needs
     tolerance = 1e-4 if kernel == "linear" else 1e-7
     np.testing.assert_allclose(
         head.decision_function(fresh).numpy(), reference.predict(k(fresh, X).numpy()), atol=tolerance
@@ -108,7 +108,7 @@ def test_kernels_are_what_their_formula_says(kernel):
     np.testing.assert_allclose(make_kernel(kernel, 1.7)(X, Y).numpy(), expected, atol=1e-7)
 
 
-def test_a_linear_kernel_with_more_centres_than_dimensions_still_solves():
+def test_a_linear_kernel_with_more_centers_than_dimensions_still_solves():
     X, Y = problem(n=400, dtype=torch.float32)
     head = Falkon(kernel="linear", sigma=1.0, lam=1e-6, centers=200)
     head.fit(X, Y)
@@ -116,7 +116,7 @@ def test_a_linear_kernel_with_more_centres_than_dimensions_still_solves():
     np.testing.assert_allclose(head.decision_function(X).numpy(), X.numpy() @ solution, atol=2e-2)
 
 
-def test_duplicate_samples_as_centres_do_no_harm():
+def test_duplicate_samples_as_centers_do_no_harm():
     X, Y = problem(n=100, dtype=torch.float32)
     head = Falkon(sigma=2.0, lam=1e-4, centers=300)
     head.fit(X.repeat(3, 1), Y.repeat(3, 1))
@@ -164,7 +164,7 @@ def test_scaling_samples_and_sigma_alike_changes_nothing_and_scores_are_linear_i
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10_000), cut=st.integers(30, 150))
-def test_partial_fit_equals_a_batch_fit_with_the_same_centres(seed, cut):
+def test_partial_fit_equals_a_batch_fit_with_the_same_centers(seed, cut):
     X, Y = problem(n=160, seed=seed)
     pieces, batch = Falkon(sigma=2.0, lam=1e-3, centers=25), Falkon(sigma=2.0, lam=1e-3)
     pieces.fit(X[:cut], Y[:cut])
@@ -183,7 +183,7 @@ def test_a_new_problem_takes_the_earlier_samples_as_negatives():
     torch.testing.assert_close(grown.decision_function(X), batch.decision_function(X), atol=1e-6, rtol=0)
 
 
-def test_extending_the_centres_equals_starting_with_them():
+def test_extending_the_centers_equals_starting_with_them():
     X, Y = problem(n=160)
     head, whole = Falkon(sigma=2.0, lam=1e-3), Falkon(sigma=2.0, lam=1e-3)
     head.fit(X, Y, centers=X[:20])
@@ -195,7 +195,7 @@ def test_extending_the_centres_equals_starting_with_them():
     torch.testing.assert_close(head.decision_function(X), whole.decision_function(X), atol=1e-6, rtol=0)
 
 
-def test_centres_are_not_extended_on_other_samples_than_were_fitted():
+def test_centers_are_not_extended_on_other_samples_than_were_fitted():
     X, Y = problem(n=60)
     head = Falkon(sigma=2.0, lam=1e-3)
     with pytest.raises(ConfigError, match="extend_centers"):
@@ -213,7 +213,7 @@ def test_centres_are_not_extended_on_other_samples_than_were_fitted():
 
 @settings(max_examples=50, deadline=None)
 @given(n=st.integers(1, 60), positives=st.integers(0, 60), count=st.integers(1, 80), seed=st.integers(0, 99))
-def test_balanced_centres_are_distinct_and_at_most_half_positive(n, positives, count, seed):
+def test_balanced_centers_are_distinct_and_at_most_half_positive(n, positives, count, seed):
     Y = -torch.ones(n, 1)
     Y[: min(n, positives)] = 1
     chosen = balanced_centers(Y, count, torch.Generator().manual_seed(seed))
@@ -223,14 +223,14 @@ def test_balanced_centres_are_distinct_and_at_most_half_positive(n, positives, c
         assert picked == max(min(available, count // 2), count - (n - available))
 
 
-def test_balanced_centres_are_shared_evenly_by_the_problems_and_background():
+def test_balanced_centers_are_shared_evenly_by_the_problems_and_background():
     Y = -torch.ones(1000, 3)
     Y[:500, 0] = Y[500:510, 1] = Y[510:600, 2] = 1
     chosen = balanced_centers(Y, 100, torch.Generator().manual_seed(0))
     assert [int((Y[chosen, c] > 0).sum()) for c in range(3)] == [33, 10, 32]
 
 
-def test_uniform_centres_are_uniform():
+def test_uniform_centers_are_uniform():
     counts = np.zeros(10)
     for seed in range(2000):
         counts[uniform_centers(10, 3, torch.Generator().manual_seed(seed)).numpy()] += 1
@@ -291,7 +291,7 @@ def test_bad_input_is_named_and_leaves_the_head_usable():
 
 
 @pytest.mark.parametrize("solver", ["direct", "conjugate_gradients"])
-def test_repeated_centres_give_the_function_of_the_distinct_ones(solver):
+def test_repeated_centers_give_the_function_of_the_distinct_ones(solver):
     X, Y = problem(n=200)
     head, once = Falkon(sigma=2.0, lam=1e-4, solver=solver), Falkon(sigma=2.0, lam=1e-4, solver="direct")
     head.fit(X, Y, centers=X[:30].repeat(3, 1))
@@ -325,7 +325,7 @@ def test_half_precision_is_computed_in_single_and_whole_numbers_are_refused():
     with pytest.raises(DataError, match="Y is not finite"):
         head.fit(X, Y * float("inf"))
     before = head.decision_function(X)
-    with pytest.raises(DataError, match="cannot be factorised"):  # finite, but their squares are not
+    with pytest.raises(DataError, match="cannot be factorized"):  # finite, but their squares are not
         head.fit(torch.full((300, 6), 3e38), Y, centers=X[:5])
     assert torch.equal(head.decision_function(X), before)
 

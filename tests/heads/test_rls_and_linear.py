@@ -1,4 +1,4 @@
-"""Box regression and the cheap rival against numpy and scikit-learn."""
+"""Box regression and the cheap baseline against numpy and scikit-learn."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def boxes(n=200, d=10, seed=0):
     return torch.as_tensor(X), torch.as_tensor(Y)
 
 
-def test_without_whitening_it_is_ridge_regression_with_a_penalised_bias():
+def test_without_whitening_it_is_ridge_regression_with_a_penalized_bias():
     X, Y = boxes()
     head = Rls(lam=5.0, whiten=False)
     head.fit(X, Y)

@@ -8,7 +8,7 @@ from icub_pipelines.depth_masks import CoherentMasks, closest_blob, overlap
 
 
 def room(height=120, width=160):
-    """A wall at 1.2 m and a table that rises towards the camera at the bottom of the picture."""
+    """A wall at 1.2 m and a table that rises towards the camera at the bottom of the image."""
     depth = np.full((height, width), 1.2, dtype=np.float32)
     depth[80:] = np.linspace(1.1, 0.6, 40, dtype=np.float32)[:, None]
     return depth
@@ -74,7 +74,7 @@ def passed(masks):
     return stream, filter_
 
 
-def test_frames_that_agree_with_both_neighbours_pass_one_late():
+def test_frames_that_agree_with_both_neighbors_pass_one_late():
     stream, filter_ = passed([square(2), square(3), square(4), square(5)])
     assert stream == [0, 1, 2]
     assert filter_.rejected == 0

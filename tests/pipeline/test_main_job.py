@@ -80,20 +80,20 @@ def test_a_wrong_word_stops_with_one_line_that_names_the_right_one(tmp_path, mon
     assert expected in line
 
 
-SMALL_LESSON = ("+segmenter=falkon", "pipeline.teach.objects=[005_tomato_soup_can,010_potted_meat_can]",
+SMALL_TRAINING_IMAGE = ("+segmenter=falkon", "pipeline.teach.objects=[005_tomato_soup_can,010_potted_meat_can]",
                 "pipeline.teach.frames=14", "pipeline.see.frames=6")  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def lesson(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("lesson")
-    done = icub("run", *SMALL_LESSON, cwd=folder)
+def training_image(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("training image")
+    done = icub("run", *SMALL_TRAINING_IMAGE, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder
 
 
-def test_two_objects_are_taught_and_found_among_strangers(lesson):
-    metrics = json.loads((the_only_run(lesson) / "metrics.json").read_text())
+def test_two_objects_are_taught_and_found_among_distractors(training_image):
+    metrics = json.loads((the_only_run(training_image) / "metrics.json").read_text())
     assert metrics["teach.objects"] == 2
     assert 14 <= metrics["teach.frames"] <= 28
     assert metrics["segmentation.map50_segm"] > 0.3, "14 frames an object are few, but far better than chance"
@@ -101,10 +101,10 @@ def test_two_objects_are_taught_and_found_among_strangers(lesson):
     assert {"segmentation.map70_segm", "segmentation.map50_bbox", "segmentation.map70_bbox"} <= set(metrics)
 
 
-def test_a_resumed_run_does_not_teach_again(lesson):
-    run_dir = the_only_run(lesson)
+def test_a_resumed_run_does_not_teach_again(training_image):
+    run_dir = the_only_run(training_image)
     before = json.loads((run_dir / "metrics.json").read_text())
-    done = icub("run", "--resume", str(run_dir), cwd=lesson)
+    done = icub("run", "--resume", str(run_dir), cwd=training_image)
     assert done.returncode == 0, done.stderr
     after = json.loads((run_dir / "metrics.json").read_text())
     assert after["teach.seconds"] == before["teach.seconds"]

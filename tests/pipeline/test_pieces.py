@@ -7,17 +7,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDict
 
+from icub_core.appearance import random_lights, random_surface
 from icub_core.data import Instance
 from icub_core.geometry import is_rigid
-from icub_tasks.grasping.termination import EndReason
 from icub_core.hooks import Events, listen
-from icub_core.appearance import random_lights, random_surface
+from icub_core.scene import Geom, ObjectSpec
 from icub_pipelines.context import RunContext
 from icub_pipelines.grasping import Announcer
 from icub_pipelines.images import contact_sheet, draw_instances, save_animation, save_picture
 from icub_pipelines.report import write_report
 from icub_pipelines.tabletop import scatter, standing_pose
-from icub_core.scene import Geom, ObjectSpec
+from icub_tasks.grasping.termination import EndReason
 
 
 def box(name, x, y, z):
@@ -66,8 +66,8 @@ def test_pictures_can_be_read_back(tmp_path):
     assert sheet.shape == (120, 320, 3)
     save_picture(tmp_path / "sheet.png", sheet)
     assert np.array_equal(iio.imread(tmp_path / "sheet.png"), sheet)
-    save_animation(tmp_path / "film.gif", [image, drawn, image], frames_per_second=10)
-    assert len(iio.imread(tmp_path / "film.gif", index=None)) >= 2
+    save_animation(tmp_path / "video.gif", [image, drawn, image], frames_per_second=10)
+    assert len(iio.imread(tmp_path / "video.gif", index=None)) >= 2
 
 
 class Listener:

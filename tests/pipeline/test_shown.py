@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from icub_pipelines.settings import SHOWN, SeeSettings, grasped, shown
 from icub_benchmarks.segmentation.recording import shown_and_seen
+from icub_pipelines.settings import SHOWN, SeeSettings, grasped, shown
 
 FOLDER = ("bowl", "cup", "fork", "mug", "pan", "plate")
 
@@ -30,11 +30,11 @@ def test_what_is_grasped_is_chosen_or_usual_or_the_first():
     assert grasped(None, FOLDER) == "bowl"
 
 
-def test_objects_are_shown_one_after_another_and_then_stand_among_strangers_on_a_table():
+def test_objects_are_shown_one_after_another_and_then_stand_among_distractors_on_a_table():
     names = ["006_mustard_bottle", "005_tomato_soup_can"]
     shares = []
     train, test = shown_and_seen(
-        3, names, 12, SeeSettings(frames=4, strangers=4), progress=lambda share, text: shares.append(share)
+        3, names, 12, SeeSettings(frames=4, distractors=4), progress=lambda share, text: shares.append(share)
     )
     assert train.classes == test.classes == tuple(names)
     labels = [instances[0].label for _, instances in train]
@@ -45,7 +45,7 @@ def test_objects_are_shown_one_after_another_and_then_stand_among_strangers_on_a
     for frame, instances in test:
         assert {i.label for i in instances} <= set(names)
         assert all(i.mask.shape == frame.rgb.shape[:2] for i in instances)
-    again, _ = shown_and_seen(3, names, 12, SeeSettings(frames=1, strangers=4))
+    again, _ = shown_and_seen(3, names, 12, SeeSettings(frames=1, distractors=4))
     assert np.array_equal(train[0][0].rgb, again[0][0].rgb)
     with pytest.raises(IndexError):
         test[4]

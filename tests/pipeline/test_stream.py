@@ -9,16 +9,16 @@ import pytest
 from icub_core.errors import ConfigError, DataError, NotFittedError
 from icub_core.interfaces.segmenter import UpdateReport
 from icub_pipelines.stream import StreamTeacher
-from icub_testing.tiny import tiny_class
-from icub_testing.tiny.things import draw_frame
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.online_segmenter import OnlineSegmenter
+from icub_testing.tiny import tiny_class
+from icub_testing.tiny.things import draw_frame
 
 
-def lessons(count=4):
-    for colour in ("red", "blue"):
+def training_images(count=4):
+    for color in ("red", "blue"):
         for i in range(count):
-            yield draw_frame({colour: (45 + 18 * i, 45 + 9 * i, 16)}, seed=i)
+            yield draw_frame({color: (45 + 18 * i, 45 + 9 * i, 16)}, seed=i)
 
 
 def learner():
@@ -30,12 +30,12 @@ def learner():
 
 def test_a_stream_teaches_what_the_same_frames_teach_at_once():
     batch = learner()
-    for frame, instances in lessons():
+    for frame, instances in training_images():
         batch.observe(frame, instances)
     batch.update()
     streamed = learner()
     with StreamTeacher(streamed, capacity=2) as teacher:
-        for frame, instances in lessons():
+        for frame, instances in training_images():
             teacher.push(frame, instances)
         report = teacher.finish()
     assert (report.frames, report.skipped) == (8, 0)
@@ -72,7 +72,7 @@ def test_a_source_that_is_too_fast_is_held_back_and_loses_nothing():
     slow = Slow(0.02)
     with StreamTeacher(slow, capacity=3) as teacher:
         start = time.perf_counter()
-        frames = [frame for frame, _ in lessons(6)]
+        frames = [frame for frame, _ in training_images(6)]
         for frame in frames:
             teacher.push(frame, ())
         pushed = time.perf_counter() - start
@@ -87,7 +87,7 @@ def test_a_source_that_is_too_fast_is_held_back_and_loses_nothing():
 
 def test_a_source_that_is_slow_does_not_wait():
     with StreamTeacher(Slow()) as teacher:
-        for frame, _ in lessons(2):
+        for frame, _ in training_images(2):
             time.sleep(0.01)
             teacher.push(frame, ())
         report = teacher.finish()
@@ -96,7 +96,7 @@ def test_a_source_that_is_slow_does_not_wait():
 
 
 def test_a_bad_frame_ends_the_stream_with_its_number_or_is_skipped_by_choice(caplog):
-    samples = list(lessons(4))
+    samples = list(training_images(4))
     with StreamTeacher(Slow(fails={2})) as teacher, pytest.raises(DataError, match="frame 2 of the stream: the mask"):  # noqa: PT012
         for frame, _ in samples:
             teacher.push(frame, ())
@@ -112,14 +112,14 @@ def test_a_bad_frame_ends_the_stream_with_its_number_or_is_skipped_by_choice(cap
 
 def test_an_error_that_is_no_frames_fault_is_never_skipped():
     with StreamTeacher(Slow(fails={0}, error=MemoryError), on_error="skip") as teacher, pytest.raises(MemoryError):  # noqa: PT012
-        teacher.push(next(lessons())[0], ())
+        teacher.push(next(training_images())[0], ())
         teacher.finish()
 
 
 def test_an_exception_of_the_source_ends_the_thread_at_once():
     slow = Slow(0.05)
     with pytest.raises(KeyboardInterrupt), StreamTeacher(slow) as teacher:  # noqa: PT012
-        for frame, _ in lessons(4):
+        for frame, _ in training_images(4):
             teacher.push(frame, ())
         raise KeyboardInterrupt
     assert not any(thread.name == "feature extraction" for thread in threading.enumerate())
@@ -127,7 +127,7 @@ def test_an_exception_of_the_source_ends_the_thread_at_once():
 
 
 def test_an_ended_stream_takes_no_more_frames_and_an_empty_one_teaches_nothing():
-    frame, instances = next(lessons())
+    frame, instances = next(training_images())
     with StreamTeacher(learner()) as teacher:
         with pytest.raises(NotFittedError):
             teacher.finish()

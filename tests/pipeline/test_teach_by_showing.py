@@ -9,7 +9,7 @@ import pytest
 
 from icub_core.cli import main
 from icub_core.data import Instance
-from icub_pipelines.teaching_session import identities, mistakes, recognised
+from icub_pipelines.teaching_session import identities, mistakes, recognized
 
 
 def instance(label, rows, score=1.0):
@@ -29,8 +29,8 @@ def test_a_mistake_is_an_object_that_is_called_by_anothers_name():
     (mistake,) = mistakes(found, truth)
     assert (mistake.shown, mistake.taken_for, mistake.score) == ("cup", "can", 0.9)
     assert [(i.label, name) for i, name in identities(found, truth)] == [("can", "cup"), ("box", None)]
-    assert recognised(found, truth, "can") is False
-    assert recognised(found, truth, "jug") is None
+    assert recognized(found, truth, "can") is False
+    assert recognized(found, truth, "jug") is None
     assert mistakes([], truth) == [] == mistakes(found, [])
 
 
@@ -40,7 +40,7 @@ def run(folder, *words, stdin=""):
 
 
 def test_a_conversation_answers_every_line_and_goes_on_after_wrong_ones(tmp_path):
-    words = ("+segmenter=falkon", "pipeline.interactive=true", "pipeline.frames=14", "pipeline.strangers=2")
+    words = ("+segmenter=falkon", "pipeline.interactive=true", "pipeline.frames=14", "pipeline.distractors=2")
     talk = (
         "look\nteach 005_tomato_soup\nteach 005_tomato_soup_can\nknown\nlok\nlook 005_tomato_soup_can\n\nobjects now\n"
     )

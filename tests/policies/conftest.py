@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from icub_core import registry
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.task import GraspTask, TaskSettings
 from icub_core.scene import Scene
 from icub_policies.gpayn import Gpayn
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.task import GraspTask, TaskSettings
 
 
 @pytest.fixture(scope="session")

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from tensordict import TensorDict
 
 from icub_core.errors import CheckpointError, ConfigError, WeightsError
-from icub_tasks.grasping.spaces import OBSERVATION_SIZES, PLAN, PLAN_SIZE
 from icub_policies import checkpoint
 from icub_policies.demonstrations import Demonstrations
 from icub_policies.features import PROPRIOCEPTIVE_SIZE, features
 from icub_policies.gpayn import Gpayn
 from icub_policies.resprect import Resprect
+from icub_tasks.grasping.spaces import OBSERVATION_SIZES, PLAN, PLAN_SIZE
 
 
 def observations(count: int, seed: int, size: float = 1.0) -> TensorDict:

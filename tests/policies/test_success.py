@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from icub_core import registry
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.evaluation import evaluate
-from icub_tasks.grasping.task import GraspTask
 from icub_core.scene import Scene
 from icub_policies.demonstrations import Demonstrations
 from icub_policies.gpayn import Gpayn
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.evaluation import evaluate
+from icub_tasks.grasping.task import GraspTask
 
 pytestmark = pytest.mark.slow
 

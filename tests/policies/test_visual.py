@@ -13,20 +13,20 @@ from tensordict import TensorDict
 
 from icub_core import registry
 from icub_core.errors import ConfigError
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.spaces import OBSERVATION_SIZES, PLAN, PLAN_SIZE, VISUAL
-from icub_tasks.grasping.visual import PictureEncoder, VisualEncoder, flare
 from icub_policies.features import PROPRIOCEPTIVE_SIZE, STACK, features
 from icub_policies.gpayn import Gpayn
 from icub_policies.replay import CUT, RUNNING, TERMINAL, Replay
 from icub_policies.resprect import Resprect
 from icub_policies.visual import seeing
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.spaces import OBSERVATION_SIZES, PLAN, PLAN_SIZE, VISUAL
+from icub_tasks.grasping.visual import PictureEncoder, VisualEncoder, flare
 
 F = 2
 
 
 class Brightness(VisualEncoder):
-    """Two numbers a picture."""
+    """Two numbers a image."""
 
     @property
     def size(self) -> int:

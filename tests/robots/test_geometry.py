@@ -78,5 +78,5 @@ def test_a_camera_that_looks_at_a_point_sees_it_in_the_middle_and_upright(eye, t
 
 def test_pinhole_of_the_head_camera_is_the_published_one():
     K = pinhole(640, 480, np.deg2rad(42.4608673))
-    # published with pixel corners at whole numbers; here whole numbers are pixel centres
+    # published with pixel corners at whole numbers; here whole numbers are pixel centers
     assert np.allclose(K, [[617.783, 0, 320 - 0.5], [0, 617.783, 240 - 0.5], [0, 0, 1]], atol=1e-2)

@@ -1,4 +1,4 @@
-"""A small extractor without weights, and coloured shapes for it to see."""
+"""A small extractor without weights, and colored shapes for it to see."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from icub_core.geometry import pinhole
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_segmenters.heads.falkon import Falkon
 
-COLOURS = {"red": (220, 30, 30), "green": (30, 200, 40), "blue": (40, 50, 220), "yellow": (230, 220, 30)}
+COLORS = {"red": (220, 30, 30), "green": (30, 200, 40), "blue": (40, 50, 220), "yellow": (230, 220, 30)}
 
 
 class WindowsExtractor(FeatureExtractor):
-    """Proposes windows of three sizes; a region is its colours on a 5 x 5 grid, a pixel its colour and its region's."""
+    """Proposes windows of three sizes; a region is its colors on a 5 x 5 grid, a pixel its color and its region's."""
 
     region_dim = 75
     mask_dim = 6
@@ -49,20 +49,20 @@ class WindowsExtractor(FeatureExtractor):
 
 
 def paint(objects, size=(96, 128), seed=0):
-    """An RgbdFrame of discs (label, x, y, radius) on grey noise, and their instances."""
+    """An RgbdFrame of discs (label, x, y, radius) on gray noise, and their instances."""
     rng = np.random.default_rng(seed)
     rgb = rng.integers(90, 150, (*size, 3)).astype(np.uint8)
     rows, columns = np.mgrid[: size[0], : size[1]]
     instances = []
     for label, x, y, radius in objects:
         mask = (rows + 0.5 - y) ** 2 + (columns + 0.5 - x) ** 2 <= radius**2
-        rgb[mask] = np.clip(np.array(COLOURS[label]) + rng.normal(0, 8, (int(mask.sum()), 3)), 0, 255)
+        rgb[mask] = np.clip(np.array(COLORS[label]) + rng.normal(0, 8, (int(mask.sum()), 3)), 0, 255)
         instances.append(Instance.from_mask(label, mask))
     frame = RgbdFrame(rgb, np.zeros(size, np.float32), pinhole(size[1], size[0], 0.74), np.eye(4))
     return frame, tuple(instances)
 
 
-def lessons(labels, count=6, seed=0):
+def training_images(labels, count=6, seed=0):
     """`count` frames of each label alone."""
     rng = np.random.default_rng(seed)
     for label in labels:
@@ -92,4 +92,4 @@ def painter():
 
 @pytest.fixture
 def teacher():
-    return lessons
+    return training_images

@@ -10,8 +10,6 @@ from icub_core.errors import CheckpointError, DataError
 from icub_core.evaluation.detection import evaluate_instances
 from icub_core.geometry import pinhole
 from icub_core.interfaces.feature_extractor import RpnCells
-from icub_testing.tiny import tiny_class
-from icub_testing.tiny.things import draw_frame
 from icub_segmenters.baselines.linear_softmax import LinearSoftmax
 from icub_segmenters.baselines.mask_rcnn import MaskRcnn
 from icub_segmenters.baselines.o_os import OnlineObjectSegmentation
@@ -20,6 +18,8 @@ from icub_segmenters.baselines.output_layers import OutputLayers
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
 from icub_segmenters.heads.linear import Linear
 from icub_segmenters.online_segmenter import OnlineSegmenter
+from icub_testing.tiny import tiny_class
+from icub_testing.tiny.things import draw_frame
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def frame_of(size, box, seed=0):
         ((60, 80), (0, 0, 80, 60)),  # the object is the whole image
     ],
 )
-def test_images_of_any_size_are_learnt_from_and_segmented_at_their_size(compact, falkon, size, box):
+def test_images_of_any_size_are_learned_from_and_segmented_at_their_size(compact, falkon, size, box):
     segmenter = OnlineSegmenter(compact, falkon, composites=1)
     segmenter.observe(*frame_of(size, box))
     segmenter.observe(*frame_of((240, 320), (100, 80, 180, 170), seed=1))
@@ -100,14 +100,14 @@ def test_features_that_are_not_finite_are_refused_and_nothing_of_the_frame_is_ke
     spoilt, clean = (
         OnlineSegmenter(Failing(), falkon, composites=0, masks="online", proposals="online") for _ in range(2)
     )
-    for number, colour in enumerate(["red", "green", "red", "green"]):
+    for number, color in enumerate(["red", "green", "red", "green"]):
         if number == 2:
             spoilt.extractor.broken = broken
             with pytest.raises(DataError, match="not finite"):
-                spoilt.observe(*draw_frame({"blue": (60, 50, 16)}, seed=40))  # a class that is then never learnt
+                spoilt.observe(*draw_frame({"blue": (60, 50, 16)}, seed=40))  # a class that is then never learned
             spoilt.extractor.broken = ""
         for segmenter in (spoilt, clean):
-            segmenter.observe(*draw_frame({colour: (50 + 10 * number, 55, 16)}, seed=number))
+            segmenter.observe(*draw_frame({color: (50 + 10 * number, 55, 16)}, seed=number))
     assert spoilt.update().classes == clean.update().classes == ("red", "green")
     assert found_by(spoilt) == found_by(clean)
     spoilt.extractor.broken = broken
@@ -121,8 +121,8 @@ def test_features_that_are_not_finite_are_refused_and_nothing_of_the_frame_is_ke
 def test_output_layers_leave_out_a_frame_whose_features_are_not_finite(store_features):
     extractor = Failing()
     segmenter = OutputLayers(extractor, epochs=2, store_features=store_features)
-    for number, colour in enumerate(["red", "green", "red", "green"]):
-        segmenter.observe(*draw_frame({colour: (50 + 10 * number, 55, 16)}, seed=number))
+    for number, color in enumerate(["red", "green", "red", "green"]):
+        segmenter.observe(*draw_frame({color: (50 + 10 * number, 55, 16)}, seed=number))
     segmenter.update()
     before = found_by(segmenter)
     extractor.broken = "regions"

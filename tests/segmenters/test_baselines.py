@@ -4,12 +4,12 @@ import pytest
 import torch
 
 from icub_core.errors import NotFittedError
-from icub_testing.tiny import tiny_class
-from icub_testing.tiny.things import draw_frame
 from icub_segmenters.baselines.linear_softmax import LinearSoftmax, SoftmaxDetector
 from icub_segmenters.baselines.ours_serial import OursSerial
 from icub_segmenters.heads.linear import Linear
 from icub_segmenters.minibootstrap import Minibootstrap
+from icub_testing.tiny import tiny_class
+from icub_testing.tiny.things import draw_frame
 
 
 class Counting(tiny_class("feature_extractor")):
@@ -24,10 +24,10 @@ class Counting(tiny_class("feature_extractor")):
         return super().extract(rgb)
 
 
-def shown(segmenter, colours=("red", "blue"), count=3):
-    for colour in colours:
+def shown(segmenter, colors=("red", "blue"), count=3):
+    for color in colors:
         for i in range(count):
-            segmenter.observe(*draw_frame({colour: (45 + 18 * i, 45 + 9 * i, 16)}, seed=i))
+            segmenter.observe(*draw_frame({color: (45 + 18 * i, 45 + 9 * i, 16)}, seed=i))
 
 
 def test_ours_serial_extracts_a_second_time_after_the_last_frame_with_proposals_of_its_own(falkon):
@@ -66,8 +66,8 @@ def test_linear_scores_order_regions_as_softmax_probabilities_do():
 
 
 def test_the_linear_rival_sees_all_negatives_and_reports_doubtful_finds_too(falkon):
-    rival = LinearSoftmax(Counting(), lambda: Linear(epochs=5), negatives=500, composites=0)
-    assert (rival.procedure.batches, rival.procedure.batch_size) == (1, 500)
-    assert rival.lowest_score < -5
-    shown(rival)
-    assert rival.update().classes == ("red", "blue")
+    baseline = LinearSoftmax(Counting(), lambda: Linear(epochs=5), negatives=500, composites=0)
+    assert (baseline.procedure.batches, baseline.procedure.batch_size) == (1, 500)
+    assert baseline.lowest_score < -5
+    shown(baseline)
+    assert baseline.update().classes == ("red", "blue")

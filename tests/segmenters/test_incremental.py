@@ -144,7 +144,7 @@ def test_a_class_added_in_the_shared_mode_is_found_as_well_as_by_algorithm_1():
     assert right(together) > 0.95
 
 
-def test_rows_are_normalised_when_they_are_asked_for():
+def test_rows_are_normalized_when_they_are_asked_for():
     X = torch.randn(30, 5, generator=torch.Generator().manual_seed(0))
     scale = Normalization.of(X)
     rows = torch.tensor([7, 3, 3, 29])

@@ -1,4 +1,4 @@
-"""What region proposals that are learnt on-line promise, one classifier an anchor type or one for all of a cell."""
+"""What region proposals that are learned on-line promise, one classifier an anchor type or one for all of a cell."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,6 @@ import torch
 from icub_core.errors import CheckpointError, NotFittedError
 from icub_core.evaluation.proposals import best_overlaps, recall
 from icub_core.interfaces.feature_extractor import RpnCells
-from icub_testing.tiny import tiny_class
-from icub_testing.tiny.things import draw_frame
 from icub_segmenters import shared_rpn
 from icub_segmenters.faithful_rpn import FaithfulRpn, label_anchors
 from icub_segmenters.heads.falkon import Falkon
@@ -17,6 +15,8 @@ from icub_segmenters.minibootstrap import Minibootstrap
 from icub_segmenters.online_rpn import Rows
 from icub_segmenters.online_segmenter import OnlineSegmenter
 from icub_segmenters.shared_rpn import SharedRpn
+from icub_testing.tiny import tiny_class
+from icub_testing.tiny.things import draw_frame
 
 SIZE = (160, 224)
 STRIDE, SIDES = 8, (24.0, 48.0)
@@ -86,7 +86,7 @@ def test_what_was_taught_is_proposed_in_other_pictures(trained, way):
     assert (boxes[:, 3] <= SIZE[0]).all()
 
 
-def test_anchors_are_labelled_by_overlap_and_only_inside_the_image():
+def test_anchors_are_labeled_by_overlap_and_only_inside_the_image():
     truth = torch.tensor([[10.0, 10.0, 50.0, 50.0], [100.0, 10.0, 110.0, 60.0]])
     anchors = torch.tensor(
         [
@@ -177,9 +177,9 @@ def test_without_objects_nothing_is_proposed_and_learning_goes_on(way):
 )
 def test_the_segmenter_finds_what_was_taught_in_regions_of_its_own(options, head, expected):
     segmenter = OnlineSegmenter(tiny_class("feature_extractor")(), head, composites=0, proposals="online", **options)
-    for colour in ("red", "blue"):
+    for color in ("red", "blue"):
         for i in range(4):
-            segmenter.observe(*draw_frame({colour: (45 + 15 * i, 45 + 9 * i, 16)}, seed=i))
+            segmenter.observe(*draw_frame({color: (45 + 15 * i, 45 + 9 * i, 16)}, seed=i))
     assert segmenter.update().parts["rpn"] > 0
     assert type(segmenter.rpn) is expected
     found = segmenter.segment(draw_frame({"red": (60, 60, 17)}, seed=9)[0])

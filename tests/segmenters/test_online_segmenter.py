@@ -13,7 +13,7 @@ from icub_core.evaluation.detection import evaluate_instances
 from icub_segmenters.heads.linear import Linear
 from icub_segmenters.online_segmenter import OnlineSegmenter
 
-COLOURS = ["red", "green", "blue"]
+COLORS = ["red", "green", "blue"]
 
 
 @pytest.fixture
@@ -39,29 +39,29 @@ def scenes(painter):
 
 
 @pytest.mark.parametrize("mode", ["shared", "faithful"])
-def test_taught_colours_are_found_and_the_untaught_is_not(make, painter, teacher, mode):
+def test_taught_colors_are_found_and_the_untaught_is_not(make, painter, teacher, mode):
     segmenter = make(mode=mode)
     # the yellow distractor is shown once without a label, as clutter
-    report = teach(segmenter, [*teacher(COLOURS), (painter([("yellow", 60, 40, 16)])[0], ())])
-    assert report.classes == segmenter.classes == tuple(COLOURS)
+    report = teach(segmenter, [*teacher(COLORS), (painter([("yellow", 60, 40, 16)])[0], ())])
+    assert report.classes == segmenter.classes == tuple(COLORS)
     assert set(report.parts) == {"detection", "masks"}
-    assert all(report.samples[c] >= 6 for c in COLOURS)
+    assert all(report.samples[c] >= 6 for c in COLORS)
     truth = [[i for i in instances if i.label != "yellow"] for _, instances in scenes(painter)]
     found = [segmenter.segment(frame) for frame, _ in scenes(painter)]
-    metrics = evaluate_instances(truth, found, COLOURS)
+    metrics = evaluate_instances(truth, found, COLORS)
     assert metrics.map50_segm > 0.95
     assert metrics.map70_segm > 0.95
     for image in found:
         assert [i.score for i in image] == sorted((i.score for i in image), reverse=True)
-        assert all(i.mask.shape == (96, 128) and i.label in COLOURS for i in image)
+        assert all(i.mask.shape == (96, 128) and i.label in COLORS for i in image)
 
 
 def test_a_linear_head_serves_as_well(make, painter, teacher):
     segmenter = make(head=lambda: Linear(epochs=30, learning_rate=0.01))
     segmenter.lowest_score = -5.0  # log odds have a scale of their own
-    teach(segmenter, teacher(COLOURS))
+    teach(segmenter, teacher(COLORS))
     truth = [[i for i in instances if i.label != "yellow"] for _, instances in scenes(painter)]
-    assert evaluate_instances(truth, [segmenter.segment(f) for f, _ in scenes(painter)], COLOURS).map50_segm > 0.9
+    assert evaluate_instances(truth, [segmenter.segment(f) for f, _ in scenes(painter)], COLORS).map50_segm > 0.9
 
 
 def test_features_are_extracted_when_observed_and_never_by_update(make, windows, teacher):
@@ -86,7 +86,7 @@ def test_old_classes_are_kept_when_new_ones_come(make, painter, teacher):
 
 def test_updates_in_between_change_nothing(make, painter, teacher):
     often, once = make(composites=1), make(composites=1)
-    for frame, instances in teacher(COLOURS, count=3):
+    for frame, instances in teacher(COLORS, count=3):
         often.observe(frame, instances)
         often.update()
         once.observe(frame, instances)
@@ -157,7 +157,7 @@ def test_bad_masks_are_refused_and_leave_the_learner_usable(make, painter, teach
 
 def test_frames_of_other_sizes_are_segmented_at_their_own_size(make, painter, teacher):
     segmenter = make()
-    teach(segmenter, teacher(COLOURS))
+    teach(segmenter, teacher(COLORS))
     found = segmenter.segment(painter([("red", 100, 100, 16)], size=(150, 210))[0])
     assert found[0].label == "red"
     assert found[0].mask.shape == (150, 210)

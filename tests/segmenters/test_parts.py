@@ -300,9 +300,9 @@ def test_composites_hold_the_object_and_say_where():
         assert made.rgb.shape == (120, 160, 3)
         for label, seen in made.instances:
             assert label == "magenta"
-            colour = made.rgb[cv2.erode(seen.astype(np.uint8), np.ones((3, 3))) > 0].mean(axis=0)
-            assert colour[0] > 2 * colour[1]
-            assert colour[2] > 2 * colour[1]
+            color = made.rgb[cv2.erode(seen.astype(np.uint8), np.ones((3, 3))) > 0].mean(axis=0)
+            assert color[0] > 2 * color[1]
+            assert color[2] > 2 * color[1]
             found += 1
     assert found > 20  # now and then it is covered by something else
 
@@ -310,12 +310,12 @@ def test_composites_hold_the_object_and_say_where():
 def test_clutter_folders_are_checked(tmp_path):
     with pytest.raises(DataError, match="no JPEG"):
         Compositor.from_folder(tmp_path)
-    (tmp_path / "broken.jpg").write_bytes(b"no picture")
+    (tmp_path / "broken.jpg").write_bytes(b"no image")
     with pytest.raises(DataError, match=r"broken\.jpg"):
         Compositor.from_folder(tmp_path)
     cv2.imwrite(str(tmp_path / "broken.jpg"), np.zeros((30, 40, 3), np.uint8))
     cv2.imwrite(str(tmp_path / "broken.png"), np.zeros((10, 10), np.uint8))
-    with pytest.raises(DataError, match=r"\(10, 10\); expected the picture's \(30, 40\)"):
+    with pytest.raises(DataError, match=r"\(10, 10\); expected the image's \(30, 40\)"):
         Compositor.from_folder(tmp_path)
 
 
@@ -327,7 +327,7 @@ def test_relighting_stays_within_bytes():
     assert not math.isnan(sum(values))
 
 
-def test_suppressed_neighbours_of_the_same_class_vote_on_the_box():
+def test_suppressed_neighbors_of_the_same_class_vote_on_the_box():
     boxes = torch.tensor([[10.0, 10, 50, 50], [12, 12, 52, 52], [14, 10, 54, 50], [80, 80, 99, 99]])
     labels, scores = torch.tensor([0, 0, 1, 0]), torch.tensor([0.9, 0.9, 0.8, 0.1])
     candidates = Detections(boxes, labels, scores)
@@ -343,31 +343,31 @@ def test_suppressed_neighbours_of_the_same_class_vote_on_the_box():
     assert len(voted(kept.take(torch.zeros(0, dtype=torch.int64)), candidates)) == 0
 
 
-def test_strangers_of_a_composite_are_seen_and_are_no_taught_object():
+def test_distractors_of_a_composite_are_seen_and_are_no_taught_object():
     rng = np.random.default_rng(0)
     compositor = Compositor.from_folder()
     rgb, mask = np.full((60, 60, 3), 200, np.uint8), np.zeros((60, 60), bool)
     mask[10:50, 15:45] = True
     cutout = Cutout.of("cup", rgb, mask)
     composites = [compositor.compose(cutout, (120, 160), rng) for _ in range(20)]
-    assert sum(len(c.strangers) for c in composites) > 20
+    assert sum(len(c.distractors) for c in composites) > 20
     for composite in composites:
-        masks = [m for _, m in composite.instances] + list(composite.strangers)
+        masks = [m for _, m in composite.instances] + list(composite.distractors)
         assert all(m.any() and m.shape == (120, 160) for m in masks)
         assert (np.sum(masks, axis=0) <= 1).all()  # a pixel belongs to what is on top
 
 
-def test_strangers_become_described_negatives(windows, painter):
+def test_distractors_become_described_negatives(windows, painter):
     frame, instances = painter([("red", 30, 40, 15)])
     image = windows.extract(frame.rgb)
-    truth, strangers = torch.tensor([[15.0, 25, 45, 55]]), torch.tensor([[80.0, 20, 110, 50]])
+    truth, distractors = torch.tensor([[15.0, 25, 45, 55]]), torch.tensor([[80.0, 20, 110, 50]])
     generator = torch.Generator().manual_seed(0)
-    regions = describe(windows, image, truth, torch.tensor([0]), generator, strangers)
-    own = (regions.boxes == strangers).all(dim=1)
+    regions = describe(windows, image, truth, torch.tensor([0]), generator, distractors)
+    own = (regions.boxes == distractors).all(dim=1)
     assert own.sum() == 1
     assert regions.label[own] == regions.near[own] == -1
     without = describe(windows, image, truth, torch.tensor([0]), torch.Generator().manual_seed(0))
-    assert len(regions) == len(without) + 2  # the stranger's box and one drawn around it
+    assert len(regions) == len(without) + 2  # the distractor's box and one drawn around it
 
 
 def test_a_class_more_crowds_out_no_other():

@@ -146,7 +146,7 @@ def test_commands_out_of_range_act_like_the_limit(loaded):
 
 
 def test_the_solver_s_sparse_matrices_give_what_dense_ones_give(loaded, ycb, standing):
-    """Where many contacts share an object; one release of the engine factorises some sparse matrices wrongly."""
+    """Where many contacts share an object; one release of the engine factorizes some sparse matrices wrongly."""
     spec, model, data = ycb.get("004_sugar_box"), loaded.model, loaded.data
     T = loaded.link_pose("r_hand_dh_frame")
     loaded.set_object_pose(spec.name, T @ make_transform(None, [0.03, 0.0, 0.06]))
@@ -215,6 +215,6 @@ def test_table_legs_are_left_out_only_where_the_top_hides_them(loaded):
         renderer._legs = legs[:0]
         whole = loaded.render(view, 160, 120).frame
         renderer._legs = legs
-        np.testing.assert_array_equal(picture.rgb, whole.rgb, err_msg=f"picture {k}")
-        np.testing.assert_array_equal(picture.depth, whole.depth, err_msg=f"picture {k}")
+        np.testing.assert_array_equal(picture.rgb, whole.rgb, err_msg=f"image {k}")
+        np.testing.assert_array_equal(picture.depth, whole.depth, err_msg=f"image {k}")
     assert 20 < left_out < 200

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from icub_core.errors import ConfigError, DataError
 from icub_core.geometry import quat_wxyz_to_matrix, rotation_exp
 from icub_core.scene import Scene
-from icub_testing.checks import checks
 from icub_simulators.decimation import decimate
 from icub_simulators.mujoco.simulator import Mujoco
 from icub_simulators.objects.folder import Folder
@@ -19,8 +18,9 @@ from icub_simulators.objects.resting import drop
 from icub_simulators.objects.solids import center_of_mass, hull_volume, narrowest_width, rest_pose, stable_poses
 from icub_simulators.objects.textures import PATTERNS, print_texture
 from icub_simulators.objects.ycb_primitives import YcbPrimitives
+from icub_testing.checks import checks
 
-PUBLISHED = {  # metres and kilograms, from the YCB project's table
+PUBLISHED = {  # meters and kilograms, from the YCB project's table
     "003_cracker_box": ((0.060, 0.158, 0.210), 0.411),
     "004_sugar_box": ((0.038, 0.089, 0.175), 0.514),
     "005_tomato_soup_can": ((0.066, 0.066, 0.101), 0.349),
@@ -168,7 +168,7 @@ def test_random_objects_rest_where_they_are_put(standing):
 
 
 def l_shape():
-    """Two walls, 3 cm thick: 204 cubic centimetres."""
+    """Two walls, 3 cm thick: 204 cubic centimeters."""
     outline = np.array([[0, 0], [0.1, 0], [0.1, 0.03], [0.03, 0.03], [0.03, 0.1], [0, 0.1]])
     vertices = np.concatenate([np.c_[outline, np.zeros(6)], np.c_[outline, np.full(6, 0.04)]])
     caps = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
@@ -290,7 +290,7 @@ def test_ten_million_faces_are_refused_before_they_are_read(tmp_path, monkeypatc
     with (tmp_path / "binary.stl").open("wb") as file:
         file.write(bytes(80) + (10_000_000).to_bytes(4, "little"))
         file.truncate(84 + 50 * 10_000_000)  # a sparse file
-    monkeypatch.setattr("icub_simulators.objects.meshes.MOST_FACES", 20_000)
+    monkeypatch.setattr("icub_simulators.objects.meshes.MAX_FACES", 20_000)
     corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
     (tmp_path / "text.obj").write_text(corners + "f 1 2 3\n" * 20_001)
     (tmp_path / "text.stl").write_text("solid x\n" + "facet normal 0 0 1\n" * 20_001)
@@ -323,7 +323,7 @@ def test_a_mesh_that_is_not_watertight_is_used_as_it_is(folder):
     assert len(spec.collision) >= 5
 
 
-def test_millimetres_are_read_with_the_scale(tmp_path):
+def test_MILLIMETERS_are_read_with_the_scale(tmp_path):
     trimesh.creation.box((50, 60, 100)).export(tmp_path / "block.stl")
     spec = Folder(tmp_path, scale=0.001).get("block")
     np.testing.assert_allclose(spec.half_extents, (0.025, 0.03, 0.05), atol=1e-6)
@@ -372,7 +372,7 @@ def test_a_body_whose_weight_hangs_over_does_not_rest_there():
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_rest_poses_are_those_of_the_hull(seed):
-    """The lowest point is on the table and the centre of mass above the hull of what touches."""
+    """The lowest point is on the table and the center of mass above the hull of what touches."""
     points = np.random.default_rng(seed).normal(size=(30, 3)) * [0.03, 0.05, 0.08]
     center = center_of_mass([points])
     pose = rest_pose(points, center)
@@ -415,7 +415,7 @@ def test_decimation_leaves_light_meshes_alone():
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
-def test_prints_are_deterministic_and_show_both_colours(pattern):
+def test_prints_are_deterministic_and_show_both_colors(pattern):
     first = print_texture(pattern, (200, 30, 30), (20, 20, 220), 3)
     np.testing.assert_array_equal(first, print_texture(pattern, (200, 30, 30), (20, 20, 220), 3))
     assert first.dtype == np.uint8

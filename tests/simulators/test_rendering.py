@@ -1,4 +1,4 @@
-"""What every engine promises of its pictures."""
+"""What every engine promises of its images."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def test_depth_of_a_box_is_right_to_a_millimetre(still):
 
 
 def test_the_cloud_of_a_box_lies_on_its_top_face(still):
-    """Back-projection with the stated intrinsics meets the true edges: pixel centres have whole coordinates."""
+    """Back-projection with the stated intrinsics meets the true edges: pixel centers have whole coordinates."""
     picture = still.render(OVERHEAD, 640, 480, segmentation=True)
     points = picture.frame.to_cloud(picture.segmentation == 0).points
     pixel = 0.711 / picture.frame.intrinsics[0, 0]
@@ -129,7 +129,7 @@ def test_a_size_that_cannot_be_is_one_line(still):
         still.render(OVERHEAD, 0, 120)
 
 
-def test_shadows_change_colours_but_not_geometry(still):
+def test_shadows_change_colors_but_not_geometry(still):
     plain = still.render(OVERHEAD, 160, 120, segmentation=True)
     pretty = still.render(OVERHEAD, 160, 120, segmentation=True, shadows=True)
     np.testing.assert_array_equal(plain.segmentation, pretty.segmentation)

@@ -33,7 +33,7 @@ CONE = trimesh.creation.cone(0.03, 0.1)
 
 
 def shares(poses) -> dict[float, float]:
-    """Shares by height in millimetres."""
+    """Shares by height in millimeters."""
     found: dict[float, float] = {}
     for pose in poses:
         height = round(1e3 * pose.height)

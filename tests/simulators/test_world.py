@@ -9,8 +9,8 @@ from icub_core.errors import ConfigError, SimulationError
 from icub_core.geometry import make_transform
 from icub_core.interfaces.simulator import Fault
 from icub_core.scene import Scene
-from icub_testing.checks import checks
 from icub_robots.icub import ICub
+from icub_testing.checks import checks
 
 
 @pytest.mark.parametrize("name", list(checks("simulator")))

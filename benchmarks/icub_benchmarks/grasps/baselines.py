@@ -21,7 +21,7 @@ from icub_core.geometry import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a fit found: half axes (3,), metres, rotation (3, 3) and centre (3,); not a number where it failed."""
+    """What a fit found: half axes (3,), meters, rotation (3, 3) and center (3,); not a number where it failed."""
 
     half_axes: FloatArray
     R: FloatArray

@@ -9,16 +9,16 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core import registry
+from icub_benchmarks.grasps.validate import Outcome, plan_trial, run_trial
 from icub_benchmarks.parallel import PluginConfig
-from icub_tasks.grasping.plan import GraspPlan
-from icub_tasks.grasping.task import GraspTask
-from icub_benchmarks.grasps.validate import Verdict, plan_trial, run_trial
+from icub_core import registry
 from icub_core.interfaces.simulator import Simulator
 from icub_core.scene import Scene
 from icub_core.workers import Workers
+from icub_tasks.grasping.plan import GraspPlan
+from icub_tasks.grasping.task import GraspTask
 
-MOST_REDRAWS = 20
+MAX_RESAMPLES = 20
 """Places without a plan after which a pose is given up."""
 PATIENCE = 900.0
 """Seconds a process may take for one pose; it takes a few."""
@@ -38,8 +38,8 @@ class Pose:
 class Outcome:
     """Verdicts by engine, none where no plan was found, and the poses that had none."""
 
-    verdicts: dict[str, Verdict]
-    redraws: int
+    outcomes: dict[str, Outcome]
+    resamples: int
 
 
 class Judge:
@@ -66,17 +66,17 @@ class Judge:
         world = self._worlds[self._engines[0]]
         task = GraspTask(world, self._robot, self._generator, [name], hand=pose.hand)
         rng = np.random.default_rng([pose.seed, pose.number])
-        for redraws in range(MOST_REDRAWS):
+        for resamples in range(MAX_RESAMPLES):
             task.place(name, rng)
             T_world_object, plan = world.object_pose(name), task.plan(name)
             if isinstance(plan, GraspPlan):
-                return Outcome(self._judge(plan, T_world_object), redraws)
-        return Outcome({}, MOST_REDRAWS)
+                return Outcome(self._judge(plan, T_world_object), resamples)
+        return Outcome({}, MAX_RESAMPLES)
 
-    def _judge(self, plan: GraspPlan, T_world_object: NDArray[np.float64]) -> dict[str, Verdict]:
+    def _judge(self, plan: GraspPlan, T_world_object: NDArray[np.float64]) -> dict[str, Outcome]:
         trial = plan_trial(self._robot, plan.grasp, plan.q_far)
         if trial is None:
-            return dict.fromkeys(self._engines, Verdict.UNREACHABLE)
+            return dict.fromkeys(self._engines, Outcome.UNREACHABLE)
         description, name = self._robot.description, plan.object_name
         return {
             engine: run_trial(self._worlds[engine], description, trial, name, T_world_object)
@@ -101,7 +101,7 @@ def judge_poses(
         robot: Plugin, as the next two: its name, or its parameters with the name under ``plugin``.
         grasp_generator: Whose grasps.
         objects: Set of the poses' objects.
-        engines: Simulator plugins; the first one also takes the pictures.
+        engines: Simulator plugins; the first one also takes the images.
         workers: Processes; results do not depend on their number.
         progress: Told how many poses are over.
 

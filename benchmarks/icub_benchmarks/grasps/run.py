@@ -31,14 +31,14 @@ from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 from rich.table import Table
 
+from icub_benchmarks.grasps.judging import Outcome, Pose, judge_poses
+from icub_benchmarks.grasps.validate import Outcome
+from icub_benchmarks.parallel import EnvRecipe, evaluate_in_workers
 from icub_core import registry
 from icub_core.config.compose import compose
 from icub_core.evaluation.results import Figure, write_results
-from icub_tasks.grasping.evaluation import merge, wilson_interval
-from icub_benchmarks.grasps.judging import Outcome, Pose, judge_poses
-from icub_benchmarks.parallel import EnvRecipe, evaluate_in_workers
-from icub_benchmarks.grasps.validate import Verdict
 from icub_core.registry import split_config
+from icub_tasks.grasping.evaluation import merge, wilson_interval
 
 RESULTS = Path(__file__).resolve().parent / "results" / "grasps.json"
 SEVEN = [
@@ -64,7 +64,7 @@ def validate(options: argparse.Namespace, plugins: Plugins, bar: Progress) -> di
         poses, **plugins, engines=options.engines, workers=options.workers,
         progress=lambda over: bar.update(line, completed=over),
     )  # fmt: skip
-    table = Table("object", "all engines", *options.engines, "agreement", "poses without plan", "verdicts")
+    table = Table("object", "all engines", *options.engines, "agreement", "poses without plan", "outcomes")
     figures: dict[str, Figure] = {}
     everything: list[Outcome] = []
     for name in [*names, ""]:
@@ -73,7 +73,7 @@ def validate(options: argparse.Namespace, plugins: Plugins, bar: Progress) -> di
         rows = rows if name else everything
         figures |= (found := _figures(rows, options.engines, f".{name}" if name else ""))
         shown = [figure.value for figure in found.values()]
-        counts = Counter(f"{e}: {v.name.lower()}" for o in rows for e, v in o.verdicts.items() if v != Verdict.HELD)
+        counts = Counter(f"{e}: {v.name.lower()}" for o in rows for e, v in o.outcomes.items() if v != Outcome.HELD)
         table.add_row(
             name or "all", *(f"{v:.2f}" for v in shown), ", ".join(f"{n} {what}" for what, n in counts.items())
         )
@@ -84,19 +84,19 @@ def validate(options: argparse.Namespace, plugins: Plugins, bar: Progress) -> di
 
 
 def _figures(outcomes: Sequence[Outcome], engines: Sequence[str], suffix: str) -> dict[str, Figure]:
-    judged = [o.verdicts for o in outcomes if o.verdicts]
+    judged = [o.outcomes for o in outcomes if o.outcomes]
 
-    def share(of: Callable[[dict[str, Verdict]], bool]) -> Figure:
-        hits = sum(of(verdicts) for verdicts in judged)
+    def share(of: Callable[[dict[str, Outcome]], bool]) -> Figure:
+        hits = sum(of(outcomes) for outcomes in judged)
         return Figure(hits / len(judged) if judged else 0.0, "1", wilson_interval(hits, len(judged)), len(judged))
 
-    figures = {f"validate.success{suffix}": share(lambda v: all(v[e] == Verdict.HELD for e in engines))}
+    figures = {f"validate.success{suffix}": share(lambda v: all(v[e] == Outcome.HELD for e in engines))}
     for engine in engines:
-        figures[f"validate.success.{engine}{suffix}"] = share(lambda v, e=engine: v[e] == Verdict.HELD)  # type: ignore[misc]
-    figures[f"validate.agreement{suffix}"] = share(lambda v: len({v[e] == Verdict.HELD for e in engines}) == 1)
-    redraws = sum(o.redraws for o in outcomes)
-    poses = redraws + len(judged)
-    figures[f"validate.poses_without_plan{suffix}"] = Figure(redraws / poses if poses else 0.0, "1", None, poses)
+        figures[f"validate.success.{engine}{suffix}"] = share(lambda v, e=engine: v[e] == Outcome.HELD)  # type: ignore[misc]
+    figures[f"validate.agreement{suffix}"] = share(lambda v: len({v[e] == Outcome.HELD for e in engines}) == 1)
+    resamples = sum(o.resamples for o in outcomes)
+    poses = resamples + len(judged)
+    figures[f"validate.poses_without_plan{suffix}"] = Figure(resamples / poses if poses else 0.0, "1", None, poses)
     return figures
 
 
@@ -124,9 +124,9 @@ def demonstrations(options: argparse.Namespace, plugins: Plugins, bar: Progress)
             progress=lambda share, _, line=line: bar.update(line, completed=share),  # type: ignore[misc]
         )
         parts.append(results)
-        missed = results.redraws / (results.redraws + len(results))
+        missed = results.resamples / (results.resamples + len(results))
         figures[f"{key}.{name}"] = Figure(results.success_rate, "1", results.interval, len(results))
-        figures[f"{key}.poses_without_plan.{name}"] = Figure(missed, "1", None, results.redraws + len(results))
+        figures[f"{key}.poses_without_plan.{name}"] = Figure(missed, "1", None, results.resamples + len(results))
         low, high = results.interval
         table.add_row(
             name, f"{results.success_rate:.2f}", f"{low:.2f} to {high:.2f}", f"{missed:.2f}", str(results.ends())
@@ -134,10 +134,10 @@ def demonstrations(options: argparse.Namespace, plugins: Plugins, bar: Progress)
         if options.objects is None:
             _write(options, {key: value for key, value in figures.items()})  # what is measured is not lost
     together = merge(parts)
-    poses = together.redraws + len(together)
+    poses = together.resamples + len(together)
     mean = float(np.mean([part.success_rate for part in parts]))
     figures[key] = Figure(mean, "1", together.interval, len(together))
-    figures[f"{key}.poses_without_plan"] = Figure(together.redraws / poses, "1", None, poses)
+    figures[f"{key}.poses_without_plan"] = Figure(together.resamples / poses, "1", None, poses)
     bar.console.print(table)
     return figures
 

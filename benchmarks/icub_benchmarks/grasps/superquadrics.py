@@ -22,11 +22,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from icub_benchmarks.grasps.baselines import Fit, Found, load_ems, scipy_fit
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from icub_benchmarks.grasps.baselines import Fit, Found, load_ems, scipy_fit
 from icub_core.errors import IcubError
 from icub_core.evaluation.results import Figure, write_results
 from icub_core.geometry import FloatArray
@@ -53,7 +53,7 @@ class Record:
         self.offsets: list[float] = []
 
     def add(self, fit: Fit, view: View) -> None:
-        """Fit one view; note milliseconds, relative errors of visible axes, and the distance of the centres, mm."""
+        """Fit one view; note milliseconds, relative errors of visible axes, and the distance of the centers, mm."""
         start = time.process_time()
         found = fit(view.points)
         self.ms.append((time.process_time() - start) * 1e3)
@@ -75,7 +75,7 @@ def measure(fits: dict[str, Fit], views: dict[str, list[View]]) -> dict[tuple[st
 
 def summarize(prefixes: Sequence[str], records: dict[tuple[str, str], Record]) -> tuple[dict[str, Figure], Table]:
     """Return the figures and a table of them."""
-    table = Table("fit", "solid", "ms", f"axes within {WITHIN:.0%}", "centre, mm (median, 90 %)")
+    table = Table("fit", "solid", "ms", f"axes within {WITHIN:.0%}", "center, mm (median, 90 %)")
     figures: dict[str, Figure] = {}
     medians: dict[str, float] = {}
     for prefix in prefixes:

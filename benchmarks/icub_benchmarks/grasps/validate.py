@@ -23,14 +23,14 @@ FloatArray = NDArray[np.float64]
 STEP = 0.025
 """Seconds between two commands, as in the grasping task."""
 SPEED = 0.002
-"""Metres the hand moves in a step while it approaches and lifts."""
+"""Meters the hand moves in a step while it approaches and lifts."""
 NEAR = 0.05
-"""Metres before the grasp where the approach begins (thesis 12.3.1)."""
+"""Meters before the grasp where the approach begins (thesis 12.3.1)."""
 PAST = 0.01
-"""Metres that the approach goes on beyond the grasp, stopped by contact, as the scripted demonstrations do."""
+"""Meters that the approach goes on beyond the grasp, stopped by contact, as the scripted demonstrations do."""
 LIFT = 0.10
 SHAKE = 0.02
-"""Metres to either side, along both horizontal axes, one after the other."""
+"""Meters to either side, along both horizontal axes, one after the other."""
 SHAKE_PERIOD, SHAKE_CYCLES = 0.8, 2
 """Seconds and number: the hand is accelerated by up to 1.2 m/s^2."""
 HOLD_SECONDS = 1.0
@@ -38,14 +38,14 @@ CLOSE_STEPS, FINGER_LEAD = 100, 1 / 25
 """Steps of closing, and the share of its stroke by which a finger's command may lead (see `demonstrations`)."""
 SETTLE_STEPS = 4
 SAG = 0.03
-"""Metres that the object may lack to the height of the lift: arms give way to weight."""
+"""Meters that the object may lack to the height of the lift: arms give way to weight."""
 TRACKING_ITERATIONS = 10
 LAG = 0.01
-"""Metres by which the planned arm may miss the wanted hand position on its way to the grasp and up; where shaking meets
+"""Meters by which the planned arm may miss the wanted hand position on its way to the grasp and up; where shaking meets
 the end of its reach it turns back earlier."""
 
 
-class Verdict(Enum):
+class Outcome(Enum):
     """What became of a grasp; only `HELD` is a success."""
 
     HELD = "lifted, shaken and held"
@@ -118,7 +118,7 @@ def plan_trial(robot: Robot, grasp: Grasp, q_seed: FloatArray) -> Trial | None:
 
 def run_trial(
     simulator: Simulator, description: RobotDescription, trial: Trial, name: str, T_world_object: FloatArray
-) -> Verdict:
+) -> Outcome:
     """Carry a trial out and judge it.
 
     Args:
@@ -139,18 +139,18 @@ def run_trial(
     engine.play(np.repeat(trial.approach[-1:], CLOSE_STEPS, axis=0))
     engine.play(trial.lift)
     wanted = rest[2] + LIFT - SAG
-    verdict = Verdict.HELD
+    outcome = Outcome.HELD
     if not engine.holds(wanted):
-        verdict = Verdict.NOT_LIFTED
+        outcome = Outcome.NOT_LIFTED
     else:
         engine.play(trial.shake)
         if not engine.holds(wanted):
-            verdict = Verdict.SHAKEN_OFF
+            outcome = Outcome.SHAKEN_OFF
         else:
             engine.play(np.repeat(trial.shake[-1:], round(HOLD_SECONDS / STEP), axis=0))
             if not engine.holds(wanted):
-                verdict = Verdict.DROPPED
-    return Verdict.FAULT if simulator.faults() else verdict
+                outcome = Outcome.DROPPED
+    return Outcome.FAULT if simulator.faults() else outcome
 
 
 class _Runner:
@@ -191,7 +191,7 @@ class _Runner:
             self._simulator.step(self._substeps)
 
     def holds(self, height: float) -> bool:
-        """Say whether the robot touches the object and the object is at least `height` metres up."""
+        """Return True if the robot touches the object and the object is at least `height` meters up."""
         up = self._simulator.object_pose(self._name)[2, 3] >= height
         return bool(up and self._simulator.touching(self._name))
 

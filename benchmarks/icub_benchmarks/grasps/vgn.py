@@ -30,7 +30,7 @@ from icub_core.data import PointCloud
 from icub_core.evaluation.results import Figure, write_results
 from icub_core.scene import Table
 from icub_grasp_generators.synthetic_clouds import single_view
-from icub_grasp_generators.vgn.hand_search import MOST_JUDGED, around
+from icub_grasp_generators.vgn.hand_search import MAX_JUDGED, around
 from icub_grasp_generators.vgn.network import load_network
 from icub_grasp_generators.vgn.volume import Volume
 
@@ -65,7 +65,7 @@ def main() -> None:
     tsdf = torch.from_numpy(volume.tsdf((cloud,)))[None, None]
     network, _, judge = load_network("icub_hand")
     assert judge is not None  # the shipped file has one
-    view, poses = volume.range_view(cloud), around(cloud.points[::50], cloud)[:MOST_JUDGED]
+    view, poses = volume.range_view(cloud), around(cloud.points[::50], cloud)[:MAX_JUDGED]
     robot, generator = registry.build("robot", "icub"), registry.build("grasp_generator", "vgn")
 
     def forward() -> None:

@@ -1,4 +1,4 @@
-"""Rivals of `icub benchmark heads`: scikit-learn's Nystroem and Ridge, and the FALKON library where it is installed."""
+"""Baselines of `icub benchmark heads`: scikit-learn's Nystroem and Ridge, and the FALKON library where it is installed."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
-from icub_benchmarks.heads.data import LAM, SIGMA
 from numpy.typing import NDArray
 from sklearn.kernel_approximation import Nystroem
 from sklearn.linear_model import Ridge
 
+from icub_benchmarks.heads.data import LAM, SIGMA
 from icub_segmenters.minibootstrap import Minibootstrap
 
 
 class NystroemRidge:
-    """scikit-learn's way to the same function: features of the centres' kernel, then ridge regression."""
+    """scikit-learn's way to the same function: features of the centers' kernel, then ridge regression."""
 
     def __init__(self, centers: int, seed: int) -> None:
         self.centers, self.seed = centers, seed

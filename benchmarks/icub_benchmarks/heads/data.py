@@ -1,4 +1,4 @@
-"""Synthetic region features for `icub benchmark heads`, sizes, and the precision of what was learnt from them."""
+"""Synthetic region features for `icub benchmark heads`, sizes, and the precision of what was learned from them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from sklearn.metrics import average_precision_score
 from icub_segmenters.region_store import BACKGROUND
 
 SIGMA, LAM = 15.0, 1e-5
-"""Width and regulariser of the thesis's detector on features of norm 20."""
+"""Width and regularizer of the thesis's detector on features of norm 20."""
 LATENT, VIEWS, BACKGROUNDS = 32, 6, 120
 """Dimensions of the latent space, views of a class, kinds of background."""
 NOISE = 1.2
 """Spread of samples around their view: at this the best mean average precision is about 85 points."""
-MOST_BACKGROUND_TESTED = 20_000
+MAX_BACKGROUND_TESTED = 20_000
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Mixture:
         """Draw `count` samples of background."""
         return self._seen(self.sizes.classes * VIEWS + self._whole(BACKGROUNDS, count))
 
-    def labelled(self, positives: int, background: int) -> tuple[torch.Tensor, torch.Tensor]:
+    def labeled(self, positives: int, background: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Return samples and class numbers, -1 for background, in random order."""
         parts = [self.of_class(c, positives) for c in range(self.sizes.classes)] + [self.background(background)]
         label = torch.cat([torch.full((len(p),), c) for c, p in enumerate(parts)])
@@ -85,8 +85,8 @@ class Mixture:
     def tests(self) -> tuple[torch.Tensor, NDArray[np.int64]]:
         """Return test samples and their class numbers."""
         sizes = self.sizes
-        background = min(10 * sizes.tests * sizes.classes, MOST_BACKGROUND_TESTED)
-        X, label = self.labelled(sizes.tests, background)
+        background = min(10 * sizes.tests * sizes.classes, MAX_BACKGROUND_TESTED)
+        X, label = self.labeled(sizes.tests, background)
         return X, label.numpy()
 
     def _seen(self, kind: torch.Tensor) -> torch.Tensor:

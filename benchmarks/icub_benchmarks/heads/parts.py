@@ -8,11 +8,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import torch
-from icub_benchmarks.heads.data import LAM, SIGMA, Mixture, Sizes, mean_precision
-from icub_benchmarks.heads.baselines import sklearn_minibootstrap
-from icub_benchmarks.heads.timing import REPETITIONS, best_product_rate, seconds
 from rich.progress import Progress
 
+from icub_benchmarks.heads.baselines import sklearn_minibootstrap
+from icub_benchmarks.heads.data import LAM, SIGMA, Mixture, Sizes, mean_precision
+from icub_benchmarks.heads.timing import REPETITIONS, best_product_rate, seconds
 from icub_core.evaluation.results import Figure
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.minibootstrap import Minibootstrap, one_vs_rest
@@ -24,7 +24,7 @@ def limit(sizes: Sizes, seed: int, _: Progress) -> Iterator[dict[str, Figure]]:
     """Measure the shared solve beside the time of its arithmetic."""
     n, d, M, t = sizes.samples, sizes.dim, sizes.centers, sizes.classes
     mixture = Mixture(sizes, seed)
-    X, label = mixture.labelled(n // (2 * t), n - t * (n // (2 * t)))
+    X, label = mixture.labeled(n // (2 * t), n - t * (n // (2 * t)))
     Y = one_vs_rest(label, t)
     head = Falkon(sigma=SIGMA, lam=LAM, centers=M, solver="direct")
     rates, times = [], []
@@ -69,10 +69,10 @@ def store(sizes: Sizes, seed: int, _: Progress) -> Iterator[dict[str, Figure]]:
 
 
 def minibootstrap(sizes: Sizes, seed: int, progress: Progress) -> Iterator[dict[str, Figure]]:
-    """Measure the training of all classes, ours in both modes and scikit-learn's, and what they learnt."""
+    """Measure the training of all classes, ours in both modes and scikit-learn's, and what they learned."""
     procedure = Minibootstrap(sizes.batches, sizes.batch_size)
     mixture = Mixture(sizes, seed)
-    X, label = mixture.labelled(sizes.positives, procedure.budget)
+    X, label = mixture.labeled(sizes.positives, procedure.budget)
     X_test, test_label = mixture.tests()
     generator = torch.Generator().manual_seed(seed)
     positives = [torch.nonzero(label == c).flatten() for c in range(sizes.classes)]
@@ -104,23 +104,23 @@ def minibootstrap(sizes: Sizes, seed: int, progress: Progress) -> Iterator[dict[
         progress.advance(task)
     mean_faithful = mean_precision(scores.numpy(), test_label)
     task = progress.add_task("Minibootstrap, scikit-learn", total=sizes.classes)
-    rival_scores, rival = np.zeros((len(X_test), sizes.classes), np.float32), 0.0
+    rival_scores, baseline = np.zeros((len(X_test), sizes.classes), np.float32), 0.0
     samples = X.numpy()
     for c in range(sizes.classes):
         begun = time.perf_counter()
-        learnt = sklearn_minibootstrap(procedure, sizes.centers, samples, positives[c].numpy(), negatives[c].numpy())
-        rival += time.perf_counter() - begun
-        rival_scores[:, c] = learnt.score(X_test.numpy())
+        learned = sklearn_minibootstrap(procedure, sizes.centers, samples, positives[c].numpy(), negatives[c].numpy())
+        baseline += time.perf_counter() - begun
+        rival_scores[:, c] = learned.score(X_test.numpy())
         progress.advance(task)
-    mean_rival = mean_precision(rival_scores, test_label)
+    mean_baseline = mean_precision(rival_scores, test_label)
     ours = statistics.median(times)
     yield {
         "heads.minibootstrap_s": Figure(ours, "s", (min(times), max(times)), len(times)),
         "heads.minibootstrap_faithful_s": Figure(faithful, "s"),
-        "heads.minibootstrap_sklearn_s": Figure(rival, "s"),
-        "heads.minibootstrap_speedup": Figure(rival / ours, "1"),
-        "heads.minibootstrap_speedup_faithful": Figure(rival / faithful, "1"),
+        "heads.minibootstrap_sklearn_s": Figure(baseline, "s"),
+        "heads.minibootstrap_speedup": Figure(baseline / ours, "1"),
+        "heads.minibootstrap_speedup_faithful": Figure(baseline / faithful, "1"),
         "heads.minibootstrap_map": Figure(mean, "points"),
-        "heads.minibootstrap_map_minus_sklearn": Figure(mean - mean_rival, "points"),
-        "heads.minibootstrap_map_faithful_minus_sklearn": Figure(mean_faithful - mean_rival, "points"),
+        "heads.minibootstrap_map_minus_sklearn": Figure(mean - mean_baseline, "points"),
+        "heads.minibootstrap_map_faithful_minus_sklearn": Figure(mean_faithful - mean_baseline, "points"),
     }

@@ -6,14 +6,14 @@
 
 Features are synthetic but have the structure of region features: every class and every kind of background is a mixture
 of views in a latent space, seen through random rectified units, so that classes overlap and some background is hard.
-Ours and scikit-learn get the same arrays, kernel width, lambda, number of centres, batches and thresholds in the same
+Ours and scikit-learn get the same arrays, kernel width, lambda, number of centers, batches and thresholds in the same
 run and with the same number of threads; average precisions are measured on samples that nobody trained on.
 
-- minibootstrap: all classes by the Minibootstrap. The rival is the faithful loop (Algorithm 1), each class with its own
-  negatives and centres, with Nystroem + Ridge in it. Ours once in that faithful mode (``_faithful``) and once shared:
-  one pool of negatives and one set of centres for all classes.
+- minibootstrap: all classes by the Minibootstrap. The baseline is the faithful loop (Algorithm 1), each class with its own
+  negatives and centers, with Nystroem + Ridge in it. Ours once in that faithful mode (``_faithful``) and once shared:
+  one pool of negatives and one set of centers for all classes.
 - limit: the shared direct solve; its arithmetic is the kernel rows, half of the symmetric Gram matrix, right sides,
-  the kernel matrix of the centres, factorisation and substitution.
+  the kernel matrix of the centers, factorization and substitution.
 - sweep: single solves, n, d, M and the number of classes varied one at a time; time, accuracy and memory against
   Nystroem + Ridge, once against SVC, and against the FALKON library where it is installed; a table and a plot appear
   beside the results file.
@@ -29,12 +29,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from icub_benchmarks.heads.data import QUICK, Sizes
-from icub_benchmarks.heads.parts import limit, minibootstrap, store
-from icub_benchmarks.heads.sweep import sweep, write_report
 from rich.console import Console
 from rich.progress import Progress
 
+from icub_benchmarks.heads.data import QUICK, Sizes
+from icub_benchmarks.heads.parts import limit, minibootstrap, store
+from icub_benchmarks.heads.sweep import sweep, write_report
 from icub_core.evaluation.results import write_results
 
 RESULTS = Path(__file__).resolve().parent / "results" / "heads.json"

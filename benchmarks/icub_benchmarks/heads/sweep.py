@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from icub_benchmarks.heads.data import LAM, SIGMA, Mixture, Sizes, mean_precision
-from icub_benchmarks.heads.baselines import NystroemRidge, falkon_library
-from icub_benchmarks.heads.timing import once, peak_memory, seconds
 from rich.progress import Progress
 from sklearn.svm import SVC
 
+from icub_benchmarks.heads.baselines import NystroemRidge, falkon_library
+from icub_benchmarks.heads.data import LAM, SIGMA, Mixture, Sizes, mean_precision
+from icub_benchmarks.heads.timing import once, peak_memory, seconds
 from icub_core.evaluation.results import Figure
 from icub_core.files import write_bytes_atomically, write_text_atomically
 from icub_segmenters.heads.falkon import Falkon
@@ -27,7 +27,7 @@ SVC_SAMPLES, SVC_DIM = 4000, 256
 
 @dataclass(frozen=True)
 class Solve:
-    """Size of one solve: samples, features, centres, classes."""
+    """Size of one solve: samples, features, centers, classes."""
 
     n: int
     d: int
@@ -48,7 +48,7 @@ AXES = {
     "t": (1, 5, 21, 80),
 }
 """Each number is changed alone, the others stay those of BASE."""
-NAMES = {"n": "samples n", "d": "features d", "M": "centres M", "t": "classes t"}
+NAMES = {"n": "samples n", "d": "features d", "M": "centers M", "t": "classes t"}
 
 
 def solves(sizes: Sizes) -> list[Solve]:
@@ -78,18 +78,18 @@ def _against_nystroem(solve: Solve, tests: int, seed: int) -> dict[str, Figure]:
     times = statistics.median(seconds(lambda: ours.fit(X, Y), 3))
     arrays = X.numpy(), Y.numpy()
     theirs.fit(arrays[0][: 2 * solve.M], arrays[1][: 2 * solve.M])  # awake
-    rivals: list[float] = []
+    baselines: list[float] = []
     memory = {"": peak_memory(lambda: ours.fit(X, Y))}
-    memory["_sklearn"] = peak_memory(lambda: rivals.append(once(lambda: theirs.fit(*arrays))))
-    rival = rivals[-1] if rivals else once(lambda: theirs.fit(*arrays))
-    # the same centres for both: which are drawn moves the precision by points, and says nothing about the solution
+    memory["_sklearn"] = peak_memory(lambda: baselines.append(once(lambda: theirs.fit(*arrays))))
+    baseline = baselines[-1] if baselines else once(lambda: theirs.fit(*arrays))
+    # the same centers for both: which are drawn moves the precision by points, and says nothing about the solution
     ours.fit(X, Y, centers=X[torch.from_numpy(theirs.map.component_indices_.copy())])
     X_test, test_label = mixture.tests()
     precision = mean_precision(ours.decision_function(X_test).numpy(), test_label)
     figures = {
         f"{key}.s": Figure(times, "s", n=3),
-        f"{key}.sklearn_s": Figure(rival, "s"),
-        f"{key}.speedup": Figure(rival / times, "1"),
+        f"{key}.sklearn_s": Figure(baseline, "s"),
+        f"{key}.speedup": Figure(baseline / times, "1"),
         f"{key}.map": Figure(precision, "points"),
         f"{key}.map_difference": Figure(
             precision - mean_precision(theirs.score(X_test.numpy()).reshape(-1, solve.t), test_label), "points"
@@ -110,14 +110,14 @@ def _against_svc(solve: Solve, tests: int, seed: int) -> dict[str, Figure]:
     ours, theirs = Falkon(sigma=SIGMA, lam=LAM, centers=solve.M), SVC(gamma=0.5 / SIGMA**2, C=10.0)
     times = statistics.median(seconds(lambda: ours.fit(X, Y), 3))
     arrays = X.numpy(), Y[:, 0].numpy()
-    rival = min(seconds(lambda: theirs.fit(*arrays), 1))
+    baseline = min(seconds(lambda: theirs.fit(*arrays), 1))
     X_test, test_label = mixture.tests()
     difference = mean_precision(ours.decision_function(X_test).numpy(), test_label) - mean_precision(
         theirs.decision_function(X_test.numpy())[:, None], test_label
     )
     key = f"heads.svc.n{solve.n}_d{solve.d}"
     return {
-        f"{key}.speedup": Figure(rival / times, "1"),
+        f"{key}.speedup": Figure(baseline / times, "1"),
         f"{key}.map_difference": Figure(difference, "points"),
     }
 
@@ -126,7 +126,7 @@ def _samples(solve: Solve, tests: int, seed: int) -> tuple[Any, Any, Mixture]:
     """Return samples (n, d), a quarter of them positives, their labels (n,), and where they come from."""
     mixture = Mixture(Sizes(solve.t, solve.d, solve.M, tests=tests), seed)
     each = solve.n // (4 * solve.t)
-    return *mixture.labelled(each, solve.n - each * solve.t), mixture
+    return *mixture.labeled(each, solve.n - each * solve.t), mixture
 
 
 def write_report(stem: Path, figures: Mapping[str, Mapping[str, Any]]) -> list[Path]:

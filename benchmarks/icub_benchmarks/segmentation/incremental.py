@@ -4,7 +4,7 @@
     icub benchmark incremental --runs 3
     icub benchmark incremental --train-frames 48 --test-frames 24 --new-frames 12 --out /tmp/incremental.json
 
-21 objects of the rendered table-top task are taught and learnt; then another object is shown alone. It is learnt by
+21 objects of the rendered table-top task are taught and learned; then another object is shown alone. It is learned by
 `OnlineSegmenter.add_classes`, which leaves the others as they are, and, from the same frames, by `update`, which trains
 all classes anew as thesis 11.8.1 does. Old classes are examined before and after on test frames on which the new object
 does not occur; the new one on frames where it stands among old ones, and so is how often it is taken for one of them.
@@ -81,7 +81,7 @@ def run(options: argparse.Namespace, seed: int, progress: Progress) -> dict[str,
     segmenter = Assembly(compose(["segmenter=falkon", f"seed={seed}", *options.overrides])).get("segmenter")
     train = RenderedTabletop("train", options.train_frames, seed)
     test = RenderedTabletop("test", options.test_frames, seed)
-    lessons, among = (
+    training_images, among = (
         NewObject(split, n, seed) for split, n in (("train", options.new_frames), ("test", options.test_frames // 2))
     )
     show(segmenter, train, len(train), "teaching 21 objects", progress)
@@ -89,7 +89,7 @@ def run(options: argparse.Namespace, seed: int, progress: Progress) -> dict[str,
     old = list(segmenter.classes)
     before = examine(segmenter, test, old, "examining", progress)
     mistaken_before = mistaken(segmenter, among, "mistaken for old ones", progress)
-    show(segmenter, lessons, len(lessons), "showing one more", progress)
+    show(segmenter, training_images, len(training_images), "showing one more", progress)
     added = segmenter.add_classes()
     after = examine(segmenter, test, old, "examining after the addition", progress)
     new = examine(segmenter, among, [NEW], "examining the new object", progress)
@@ -98,7 +98,7 @@ def run(options: argparse.Namespace, seed: int, progress: Progress) -> dict[str,
     retrained = examine(segmenter, test, old, "examining after training anew", progress)
     new_retrained = examine(segmenter, among, [NEW], "examining the new object", progress)
     mistaken_retrained = mistaken(segmenter, among, "mistaken for old ones", progress)
-    for data in (train, test, lessons, among):
+    for data in (train, test, training_images, among):
         data.close()
     return {
         "old_classes": float(len(old)),

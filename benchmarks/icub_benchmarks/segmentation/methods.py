@@ -55,12 +55,12 @@ CURVES = {
 ABLATION = {
     OURS: "falkon",
     "no pasted clutter": "falkon,segmenter.composites=0",
-    "one pasted picture a frame": "falkon,segmenter.composites=1",
+    "one pasted image a frame": "falkon,segmenter.composites=1",
     "no look-alikes": "falkon,icub_segmenters.clutter.LOOK_ALIKES=0.0",
-    "strangers not described": "falkon,icub_segmenters.regions.STRANGER_BOXES=0",
+    "distractors not described": "falkon,icub_segmenters.regions.STRANGER_BOXES=0",
     "bank of negatives": "falkon,icub_segmenters.online_segmenter.BANK_PICTURES=100",
     "features of the last layer alone": "falkon,features=256:512",
-    "no colours and early maps": "falkon,features=0:640",
+    "no colors and early maps": "falkon,features=0:640",
     "no boxes around true ones": "falkon,icub_segmenters.regions.JITTERED=0",
     "no box voting": "falkon,icub_segmenters.detection.VOTE_IOU=1.1",
     "second look (re-pooling)": "falkon,segmenter.repool=true",
@@ -69,7 +69,7 @@ ABLATION = {
     "pre-trained masks alone": "falkon,segmenter.masks=pretrained",
     "Algorithm 1 a class": "falkon,segmenter.mode=faithful",
     "a tenth of the negatives": "falkon,segmenter.batches=1",
-    "centres half positives": "falkon,online_head.selection=balanced",
+    "centers half positives": "falkon,online_head.selection=balanced",
 }
 
 

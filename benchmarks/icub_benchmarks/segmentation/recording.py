@@ -49,13 +49,13 @@ def shown_and_seen(
     engine: str = "mujoco",
     progress: Callable[[float, str], None] = lambda share, text: None,
 ) -> tuple[Frames, Frames]:
-    """Show objects to the robot and take test pictures, as the stages teach and see do.
+    """Show objects to the robot and take test images, as the stages teach and see do.
 
     Args:
-        seed: Decides rooms, movements, arrangements and strangers.
+        seed: Decides rooms, movements, arrangements and distractors.
         names: What is shown, from the object set ``ycb_primitives``.
-        frames: Pictures of each.
-        see: How many test pictures and strangers.
+        frames: Images of each.
+        see: How many test images and distractors.
         engine: Registry name of the simulator.
         progress: Called with the finished share and a text.
 
@@ -74,11 +74,11 @@ def shown_and_seen(
                 progress(0.7 * (number + share) / len(targets), text)
 
             seeing.teach_object(simulator, robot, spec, cast(Segmenter, notes), frames, rng, tell)
-        others = seeing.strangers(objects, names, see.strangers, rng)
+        others = seeing.distractors(objects, names, see.distractors, rng)
         test = []
         for frame, present in tabletop_pictures(simulator, targets, others, Tabletop(frames=see.frames), rng):
             test.append((frame, tuple(i for i in present if i.label in names)))
-            progress(0.7 + 0.3 * len(test) / see.frames, f"{len(test)} of {see.frames} pictures")
+            progress(0.7 + 0.3 * len(test) / see.frames, f"{len(test)} of {see.frames} images")
     finally:
         simulator.close()
     return Frames(notes.samples, names), Frames(test, names)

@@ -25,17 +25,17 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from icub_benchmarks.segmentation.methods import ABLATION, CURVES, FULL, METHODS, O_OS, OURS, OUTPUT_LAYERS, Method
-from icub_benchmarks.segmentation.trials import SHOWING, TASKS, Runs, find_task, run_all
 from rich.console import Console
 from rich.table import Table
 
+from icub_benchmarks.segmentation.methods import ABLATION, CURVES, FULL, METHODS, O_OS, OURS, OUTPUT_LAYERS, Method
+from icub_benchmarks.segmentation.trial import Trial
+from icub_benchmarks.segmentation.trial_report import HEADINGS, cell, cells, markdown_table, plot_over_time
+from icub_benchmarks.segmentation.trials import SHOWING, TASKS, Runs, find_task, run_all
 from icub_core import registry
 from icub_core.errors import ConfigError, IcubError, unknown_name
 from icub_core.evaluation.detection import MEAN_NAMES
 from icub_core.evaluation.results import Figure, write_results
-from icub_benchmarks.segmentation.trial import Trial
-from icub_benchmarks.segmentation.trial_report import HEADINGS, cell, cells, markdown_table, plot_over_time
 from icub_core.files import write_text_atomically
 
 MAIN_TASK = "tabletop"
@@ -135,15 +135,15 @@ def _comparisons(runs: Runs) -> dict[str, Figure]:
         figures["segmentation.heads_share"] = _mean([run.heads_share for run in ours], "1")
     pairs = [(a.trial, b.trial) for a, b in zip(ours, runs.get((MAIN_TASK, OUTPUT_LAYERS), []), strict=False)]
     if pairs:
-        whole, rival = zip(*pairs, strict=True)
+        whole, baseline = zip(*pairs, strict=True)
         ratios = [b.update_seconds / a.update_seconds for a, b in pairs]
-        gains = _points(whole, "map50_segm", rival)
+        gains = _points(whole, "map50_segm", baseline)
         figures["segmentation.speedup_output_layers"] = _mean(ratios, "1")
         figures["segmentation.map50_segm_minus_output_layers"] = _mean(gains, "points")
     pairs = [(a.trial, b.trial) for a, b in zip(ours, runs.get((MAIN_TASK, O_OS), []), strict=False)]
     if pairs:
-        whole, rival = zip(*pairs, strict=True)
-        gains_by_name = [_mean(_points(whole, name, rival), "points") for name in MEAN_NAMES]
+        whole, baseline = zip(*pairs, strict=True)
+        gains_by_name = [_mean(_points(whole, name, baseline), "points") for name in MEAN_NAMES]
         figures["segmentation.ours_minus_oos"] = min(gains_by_name, key=lambda figure: figure.value)
     return figures
 

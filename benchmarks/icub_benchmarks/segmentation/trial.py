@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from icub_benchmarks.segmentation.voc import RULES, evaluate_voc
 from icub_core.data import Instance
 from icub_core.errors import DataError
 from icub_core.evaluation.detection import DetectionMetrics, evaluate_instances
-from icub_benchmarks.segmentation.voc import RULES, evaluate_voc
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter
 

@@ -7,9 +7,9 @@ import statistics
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from icub_core.evaluation.detection import MEAN_NAMES
 from icub_benchmarks.segmentation.trial import Trial
 from icub_benchmarks.segmentation.voc import RULES
+from icub_core.evaluation.detection import MEAN_NAMES
 from icub_core.files import write_bytes_atomically
 
 PARTS = ("rpn", "detection", "masks")

@@ -9,24 +9,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from icub_benchmarks.segmentation.methods import Method, setting
 from omegaconf import OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from icub_benchmarks.segmentation.head_clock import heads_share
+from icub_benchmarks.segmentation.methods import Method, setting
+from icub_benchmarks.segmentation.recording import shown_and_seen
+from icub_benchmarks.segmentation.trial import Trial, run_trial
 from icub_core import registry
 from icub_core.errors import ConfigError, unknown_name
-from icub_benchmarks.segmentation.head_clock import heads_share
-from icub_benchmarks.segmentation.trial import Trial, run_trial
 from icub_core.files import write_text_atomically
 from icub_core.interfaces.dataset import Dataset
 from icub_pipelines.settings import SHOWN, SeeSettings
-from icub_benchmarks.segmentation.recording import shown_and_seen
 
 TASKS = {"tabletop": "rendered_tabletop", "handheld": "rendered_handheld"}
 SHOWING = "showing"
-"""The main job's own task: objects shown one after another, examined on a table among strangers."""
-FEWEST_SHOWN = 12
+"""The main job's own task: objects shown one after another, examined on a table among distractors."""
+MIN_SHOWN = 12
 """Frames in which an object is shown at least: with fewer the gaze may lose it."""
 SHARE_FRAMES = 20
 
@@ -45,7 +45,7 @@ class Task:
         The objects that are shown are other ones in every run; the rendered tasks are the same.
         """
         if self.name == SHOWING:
-            frames = max(FEWEST_SHOWN, train // len(SHOWN))
+            frames = max(MIN_SHOWN, train // len(SHOWN))
             return shown_and_seen(run, SHOWN, frames, SeeSettings(frames=test))
         return self._split("train", train), self._split("test", test)
 

@@ -20,7 +20,7 @@ RULES: tuple[Rule, ...] = ("11-point", "area")
 
 
 def average_precision(recall: FloatArray, precision: FloatArray, rule: Rule = "11-point") -> float:
-    """Summarise a precision-recall curve, points ordered by falling score.
+    """Summarize a precision-recall curve, points ordered by falling score.
 
     Args:
         recall: (n,) not falling, 0 to 1.

@@ -7,7 +7,7 @@ from typing import Any
 
 from icub_core.errors import ConfigError
 from icub_testing.checks import run_checks
-from icub_testing.fakes import with_tiny_company
+from icub_testing.fakes import with_tiny_dependencies
 
 
 def check_plugins(kind: str, names: Sequence[str], parameters: Mapping[str, Any] | None = None) -> int:
@@ -24,7 +24,7 @@ def check_plugins(kind: str, names: Sequence[str], parameters: Mapping[str, Any]
     console = Console(highlight=False, markup=False)
     broken = 0
     for name in names:
-        make = with_tiny_company(kind, name, parameters)
+        make = with_tiny_dependencies(kind, name, parameters)
         make()  # a plugin that cannot be built at all is one error, not one a check
         total = failed = 0
         console.print(f"{kind}={name}", style="bold")

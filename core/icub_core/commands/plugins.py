@@ -106,7 +106,7 @@ def markdown_table(plugins: Sequence[PluginInfo]) -> str:
 
 
 def _doubtful(plugin: PluginInfo) -> str:
-    return f"CANNOT BE USED: also announced by {', '.join(plugin.rivals)}" if plugin.rivals else ""
+    return f"CANNOT BE USED: also announced by {', '.join(plugin.conflicts)}" if plugin.conflicts else ""
 
 
 def _show(words: Sequence[str]) -> int:

@@ -97,7 +97,7 @@ def job(config: DictConfig) -> dict[str, Any] | None:
     """Carry out one composed run; Hydra calls this, in sweeps once a combination.
 
     Returns:
-        The run's metrics, so that sweepers can optimise them; None when it failed with an expected error.
+        The run's metrics, so that sweepers can optimize them; None when it failed with an expected error.
     """
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode

@@ -39,8 +39,8 @@ class SceneSettings:
 
     Attributes:
         timestep: Physics step, seconds.
-        table_center: World position of the middle of the table's box, metres.
-        table_half_size: Half extents of that box, metres.
+        table_center: World position of the middle of the table's box, meters.
+        table_half_size: Half extents of that box, meters.
     """
 
     timestep: float = 0.005

@@ -34,7 +34,7 @@ class RpnCells:
 
     Attributes:
         features: (L, f_r) float32.
-        anchors: (L, A, 4) float32, the anchors centred on each location, x0 y0 x1 y1 in original pixels.
+        anchors: (L, A, 4) float32, the anchors centered on each location, x0 y0 x1 y1 in original pixels.
         types: (L, A) int64, which classifier an anchor belongs to (its size and ratio), from 0.
     """
 

@@ -12,7 +12,7 @@ from icub_core.scene import Table
 class GraspGenerator(ABC):
     """Proposes poses of a hand from which closing the fingers should hold the object.
 
-    Contract: poses are rigid, in metres, in the world frame, best first; only poses that the robot reaches (grasp, 5 cm
+    Contract: poses are rigid, in meters, in the world frame, best first; only poses that the robot reaches (grasp, 5 cm
     and 10 cm pre-grasp by IK) and that do not put the open hand into the table are returned; a cloud that cannot be
     used (empty, a few points, NaN, too large) gives no grasps and the reason, never an exception; the same cloud and
     seed give the same answer.

@@ -21,7 +21,7 @@ class IkSolution:
     Attributes:
         q: (n,) full joint vector, rad, always within the limits; joints outside the solved group keep their start.
         reached: Whether both errors are within the tolerances asked for.
-        position_error: Metres.
+        position_error: Meters.
         orientation_error: Radians.
         limits_hit: Names of the joints that ended on a limit.
     """
@@ -94,8 +94,8 @@ class Robot(ABC):
             q_start: (n,) start, also the posture that the solution stays near.
             frame: Name of the frame to place.
             group: Joints that may move.
-            max_iterations: Of one descent; 1 or 2 suffice to track a target that moves by millimetres.
-            position_tolerance: Metres.
+            max_iterations: Of one descent; 1 or 2 suffice to track a target that moves by millimeters.
+            position_tolerance: Meters.
             orientation_tolerance: Radians.
         """
 
@@ -118,7 +118,7 @@ class Robot(ABC):
             frame: As for one target, like the rest.
             group: Joints that may move.
             max_iterations: Of one descent.
-            position_tolerance: Metres.
+            position_tolerance: Meters.
             orientation_tolerance: Radians.
         """
         return [
@@ -135,7 +135,7 @@ class Robot(ABC):
         ]
 
     def gaze(self, point: NDArray[np.float64], q_start: NDArray[np.float64], camera: str = "head_cam") -> GazeSolution:
-        """Turn the neck so that `camera` looks at `point` (3,), world, metres; other joints stay at `q_start` (n,).
+        """Turn the neck so that `camera` looks at `point` (3,), world, meters; other joints stay at `q_start` (n,).
 
         Optional: a robot without a neck keeps this default, which raises ConfigError.
         """
@@ -151,6 +151,6 @@ class Robot(ABC):
         Args:
             q: Joint vector, rad.
             table: Also check the arms and hands with this table.
-            margin: Metres; closer than this counts as touching.
+            margin: Meters; closer than this counts as touching.
         """
         raise ConfigError(f"robot '{self.description.name}' has no collision check")

@@ -29,7 +29,7 @@ class Rendering:
     """An image and what each of its pixels shows.
 
     Attributes:
-        frame: Colour, depth, camera.
+        frame: Color, depth, camera.
         segmentation: (H, W) int32: index into `scene.objects`; -1 anything else. None unless asked for.
     """
 
@@ -46,7 +46,7 @@ class Simulator(ABC):
     - `reset` restores time 0, the home pose at rest, every object at its rest pose on its given place or parked away;
     - two runs with the same calls are identical; `step(n)` advances time by exactly n timesteps;
     - pixel (row, column) looks along ((column - cx) / fx, (row - cy) / fy, 1), cx = (width - 1) / 2: whole numbers are
-      pixel centres; depth 0 is where nothing was hit;
+      pixel centers; depth 0 is where nothing was hit;
     - the order of joints and of commands is the description's;
     - physics faults are reported by `faults`, never raised from `step` and never hidden;
     - `close` may be called twice.
@@ -141,7 +141,7 @@ class Simulator(ABC):
         segmentation: bool = False,
         shadows: bool = False,
     ) -> Rendering:
-        """Take a picture.
+        """Take a image.
 
         Args:
             camera: Name of a camera of the robot, or a free camera.

@@ -1,4 +1,4 @@
-"""Seeing without learning anything hard: colours of sliding windows, ridge regression, nearest mean colour."""
+"""Seeing without learning anything hard: colors of sliding windows, ridge regression, nearest mean color."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from icub_core.interfaces.online_head import OnlineHead
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 
 GRID = 4
-"""Side of the grid of colours that describes a region."""
+"""Side of the grid of colors that describes a region."""
 
 
 class TinyFeatureExtractor(FeatureExtractor):
-    """Regions are described by a grid of mean colours, their pixels by colour and place; windows slide over the image.
+    """Regions are described by a grid of mean colors, their pixels by color and place; windows slide over the image.
 
     Args:
         mask_size: Side of a region's grid of mask pixels.
@@ -40,7 +40,7 @@ class TinyFeatureExtractor(FeatureExtractor):
 
     @property
     def mask_dim(self) -> int:
-        """Length of a mask pixel's feature vector: colour, place."""
+        """Length of a mask pixel's feature vector: color, place."""
         return 5
 
     @property
@@ -58,23 +58,23 @@ class TinyFeatureExtractor(FeatureExtractor):
         return ImageFeatures(image, (height, width), boxes[order], contrast[order])
 
     def region_features(self, features: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
-        """Return the grid of colours of each box."""
+        """Return the grid of colors of each box."""
         return self._crop(features.maps, boxes, GRID).flatten(1)
 
     def mask_features(self, features: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
-        """Return colour and place of each pixel of each box."""
-        colours = self._crop(features.maps, boxes, self._mask_size).permute(0, 2, 3, 1)
+        """Return color and place of each pixel of each box."""
+        colors = self._crop(features.maps, boxes, self._mask_size).permute(0, 2, 3, 1)
         line = torch.linspace(-1, 1, self._mask_size)
         y, x = torch.meshgrid(line, line, indexing="ij")
         place = torch.stack([x, y], dim=-1).expand(len(boxes), -1, -1, -1)
-        return torch.cat([colours, place], dim=-1)
+        return torch.cat([colors, place], dim=-1)
 
     def rpn_cells(self, features: ImageFeatures) -> RpnCells:
         """Return every window as a location of its own, with one anchor of its size."""
         boxes = _windows(*features.image_size)
         sizes = (boxes[:, 2] - boxes[:, 0]).round(decimals=2).unique(return_inverse=True)[1]
-        colours = self._crop(features.maps, boxes, GRID).flatten(1)
-        return RpnCells(colours, boxes[:, None], sizes[:, None])
+        colors = self._crop(features.maps, boxes, GRID).flatten(1)
+        return RpnCells(colors, boxes[:, None], sizes[:, None])
 
     def _crop(self, image: torch.Tensor, boxes: torch.Tensor, size: int) -> torch.Tensor:
         """Sample boxes (N, 4) of an image (3, H, W) on a grid: (N, 3, size, size)."""
@@ -148,10 +148,10 @@ def _with_constant(X: torch.Tensor) -> torch.Tensor:
 
 
 class TinySegmenter(Segmenter):
-    """A pixel belongs to the class whose mean colour is nearest, if that is near enough.
+    """A pixel belongs to the class whose mean color is nearest, if that is near enough.
 
     Args:
-        tolerance: Distance between colours, each 0..1.
+        tolerance: Distance between colors, each 0..1.
         least_pixels: Smaller finds are not reported.
     """
 
@@ -162,16 +162,16 @@ class TinySegmenter(Segmenter):
         self._known: dict[str, NDArray[np.float64]] = {}
 
     def observe(self, frame: RgbdFrame, instances: Sequence[Instance]) -> None:
-        """Remember the mean colour of every mask."""
+        """Remember the mean color of every mask."""
         for instance in instances:
-            colour = frame.rgb[instance.mask].mean(axis=0) / 255
-            self._observed.setdefault(instance.label, []).append(colour)
+            color = frame.rgb[instance.mask].mean(axis=0) / 255
+            self._observed.setdefault(instance.label, []).append(color)
 
     def update(self) -> UpdateReport:
-        """Average the colours."""
+        """Average the colors."""
         start = perf_counter()
-        self._known = {label: np.mean(colours, axis=0) for label, colours in self._observed.items()}
-        samples = {label: len(colours) for label, colours in self._observed.items()}
+        self._known = {label: np.mean(colors, axis=0) for label, colors in self._observed.items()}
+        samples = {label: len(colors) for label, colors in self._observed.items()}
         return UpdateReport(perf_counter() - start, {}, self.classes, samples)
 
     def segment(self, frame: RgbdFrame) -> tuple[Instance, ...]:
@@ -179,8 +179,8 @@ class TinySegmenter(Segmenter):
         if not self._known:
             raise NotFittedError("the tiny segmenter knows nothing yet; call observe and update first")
         found = []
-        for label, colour in self._known.items():
-            distance = np.linalg.norm(frame.rgb / 255.0 - colour, axis=-1)
+        for label, color in self._known.items():
+            distance = np.linalg.norm(frame.rgb / 255.0 - color, axis=-1)
             mask = distance < self._tolerance
             if mask.sum() >= self._least_pixels:
                 found.append(Instance.from_mask(label, mask, score=float(1 - distance[mask].mean())))
@@ -192,16 +192,16 @@ class TinySegmenter(Segmenter):
         return tuple(self._known)
 
     def save(self, path: Path) -> None:
-        """Write the colours as JSON."""
-        content = {label: list(colour) for label, colour in self._known.items()}
-        write_text_atomically(Path(path) / "colours.json", json.dumps(content))
+        """Write the colors as JSON."""
+        content = {label: list(color) for label, color in self._known.items()}
+        write_text_atomically(Path(path) / "colors.json", json.dumps(content))
 
     def load(self, path: Path) -> None:
-        """Read the colours."""
+        """Read the colors."""
         try:
-            content = json.loads((Path(path) / "colours.json").read_text(encoding="utf-8"))
-            known = {str(label): np.array(colour, dtype=np.float64).reshape(3) for label, colour in content.items()}
+            content = json.loads((Path(path) / "colors.json").read_text(encoding="utf-8"))
+            known = {str(label): np.array(color, dtype=np.float64).reshape(3) for label, color in content.items()}
         except (OSError, ValueError, AttributeError) as cause:
-            raise CheckpointError(f"{path} holds no colours of a tiny segmenter: {cause}") from cause
+            raise CheckpointError(f"{path} holds no colors of a tiny segmenter: {cause}") from cause
         self._known = known
-        self._observed = {label: [colour] for label, colour in known.items()}
+        self._observed = {label: [color] for label, color in known.items()}

@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 TIME_CONSTANT = 0.05
 """Seconds in which a joint comes e times nearer to its target."""
 PARKING = 50.0
-"""Metres below the floor where parked objects wait."""
+"""Meters below the floor where parked objects wait."""
 SKY = np.array([200, 220, 240], dtype=np.uint8)
 
 

@@ -8,23 +8,23 @@ from tensordict import TensorDictBase
 
 from icub_core.data import Grasp, GraspProposals, PointCloud
 from icub_core.geometry import make_transform, rotation_about
-from icub_tasks.grasping.spaces import ACTION_SIZE, TOUCH
 from icub_core.interfaces.grasp_generator import GraspGenerator
 from icub_core.interfaces.policy import Policy
 from icub_core.interfaces.robot import Robot
 from icub_core.scene import Table
+from icub_tasks.grasping.spaces import ACTION_SIZE, TOUCH
 
-LEAST_POINTS = 10
+MIN_POINTS = 10
 LARGEST = 0.5
 PRE_GRASPS = (0.0, 0.05, 0.10)
-"""Distances before the grasp at which the hand must be able to stand, metres."""
+"""Distances before the grasp at which the hand must be able to stand, meters."""
 
 
 class TinyGraspGenerator(GraspGenerator):
     """One palm-down grasp at the middle of the cloud, and the same turned by a quarter.
 
     Args:
-        clearance: Height of the hand frame above the highest point, metres.
+        clearance: Height of the hand frame above the highest point, meters.
     """
 
     def __init__(self, clearance: float = 0.05) -> None:
@@ -33,8 +33,8 @@ class TinyGraspGenerator(GraspGenerator):
     def propose(self, cloud: PointCloud, robot: Robot, table: Table | None, hand: str = "right") -> GraspProposals:
         """Propose what can be reached."""
         points = cloud.points
-        if len(points) < LEAST_POINTS:
-            return GraspProposals((), None, f"the cloud has {len(points)} points; expected at least {LEAST_POINTS}")
+        if len(points) < MIN_POINTS:
+            return GraspProposals((), None, f"the cloud has {len(points)} points; expected at least {MIN_POINTS}")
         if not np.all(np.isfinite(points)):
             return GraspProposals((), None, "the cloud holds NaN or infinite coordinates")
         low, high = points.min(axis=0), points.max(axis=0)

@@ -14,25 +14,25 @@ from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.scene import Geom, Material, ObjectSpec
 
-COLOURS = {"red": (200, 40, 40), "green": (40, 170, 60), "blue": (50, 70, 200)}
+COLORS = {"red": (200, 40, 40), "green": (40, 170, 60), "blue": (50, 70, 200)}
 SIZES = {"red": (0.03, 0.04, 0.05), "green": (0.04, 0.03, 0.06), "blue": (0.03, 0.03, 0.04)}
-"""Half extents, metres."""
+"""Half extents, meters."""
 
 
 class TinyObjects(ObjectSet):
-    """Three boxes, named by their colour."""
+    """Three boxes, named by their color."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The colours."""
-        return tuple(COLOURS)
+        """The colors."""
+        return tuple(COLORS)
 
     def get(self, name: str) -> ObjectSpec:
         """Make one box that stands on its lowest face."""
-        if name not in COLOURS:
-            raise ConfigError(unknown_name("object in the tiny set", name, COLOURS))
+        if name not in COLORS:
+            raise ConfigError(unknown_name("object in the tiny set", name, COLORS))
         half = SIZES[name]
-        r, g, b = (channel / 255 for channel in COLOURS[name])
+        r, g, b = (channel / 255 for channel in COLORS[name])
         return ObjectSpec(
             name,
             (Geom("box", half),),
@@ -46,10 +46,10 @@ class TinyObjects(ObjectSet):
 def draw_frame(
     places: dict[str, tuple[int, int, int]], seed: int = 0, size: tuple[int, int] = (120, 160)
 ) -> tuple[RgbdFrame, tuple[Instance, ...]]:
-    """Draw discs on a grey, noisy ground; every call returns fresh arrays.
+    """Draw discs on a gray, noisy ground; every call returns fresh arrays.
 
     Args:
-        places: Colour to column, row and radius of its disc, pixels; later ones cover earlier ones.
+        places: Color to column, row and radius of its disc, pixels; later ones cover earlier ones.
         seed: Of the noise.
         size: Height and width, pixels.
 
@@ -60,8 +60,8 @@ def draw_frame(
     rgb, depth, owner = drawn[0].copy(), drawn[1].copy(), drawn[2]
     T_world_camera = look_at([0.0, 0.0, 1.0], [0.0, 0.0, 0.0])
     frame = RgbdFrame(rgb, depth, pinhole(size[1], size[0], 0.8), T_world_camera)
-    masks: dict[str, NDArray[np.bool_]] = {colour: owner == i for i, colour in enumerate(places)}
-    return frame, tuple(Instance.from_mask(colour, mask) for colour, mask in masks.items() if mask.any())
+    masks: dict[str, NDArray[np.bool_]] = {color: owner == i for i, color in enumerate(places)}
+    return frame, tuple(Instance.from_mask(color, mask) for color, mask in masks.items() if mask.any())
 
 
 @functools.lru_cache(maxsize=64)
@@ -74,16 +74,16 @@ def _drawn(
     depth = np.ones(size, dtype=np.float32)
     owner = np.full(size, -1)
     rows, columns = np.mgrid[: size[0], : size[1]]
-    for i, (colour, (x, y, radius)) in enumerate(places):
+    for i, (color, (x, y, radius)) in enumerate(places):
         disc = (columns - x) ** 2 + (rows - y) ** 2 <= radius**2
         noise = rng.integers(-10, 10, (int(disc.sum()), 3))
-        rgb[disc] = np.clip(np.asarray(COLOURS[colour]) + noise, 0, 255).astype(np.uint8)
+        rgb[disc] = np.clip(np.asarray(COLORS[color]) + noise, 0, 255).astype(np.uint8)
         depth[disc], owner[disc] = 0.9, i
     return rgb, depth, owner
 
 
 class TinyDataset(Dataset):
-    """Images of the coloured discs.
+    """Images of the colored discs.
 
     Args:
         length: Number of images.
@@ -96,8 +96,8 @@ class TinyDataset(Dataset):
 
     @property
     def classes(self) -> tuple[str, ...]:
-        """The colours."""
-        return tuple(COLOURS)
+        """The colors."""
+        return tuple(COLORS)
 
     def __len__(self) -> int:
         """Number of images."""
@@ -108,8 +108,8 @@ class TinyDataset(Dataset):
         if not 0 <= index < self._length:
             raise IndexError(f"image {index} of {self._length}")
         rng = np.random.default_rng([self._seed, index])
-        colours = rng.permutation(list(COLOURS))[: int(rng.integers(1, 4))]
+        colors = rng.permutation(list(COLORS))[: int(rng.integers(1, 4))]
         places = {
-            str(c): (int(rng.integers(20, 140)), int(rng.integers(20, 100)), int(rng.integers(8, 18))) for c in colours
+            str(c): (int(rng.integers(20, 140)), int(rng.integers(20, 100)), int(rng.integers(8, 18))) for c in colors
         }
         return draw_frame(places, seed=int(rng.integers(2**31)))

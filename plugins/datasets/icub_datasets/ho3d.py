@@ -40,7 +40,7 @@ SEQUENCES = {
 """Thesis, appendix B of chapter 11."""
 STEP = {"train": 2, "val": 5, "test": 5}
 DEPTH_UNIT = 0.00012498664727900177
-"""Metres a unit of the 16-bit depth."""
+"""Meters a unit of the 16-bit depth."""
 OBJECT_BLUE = 100
 """Least blue of an object's pixel; the hand is red, the rest black, and JPEG blurs both."""
 
@@ -106,18 +106,18 @@ def _object_of(sequence: str) -> str:
 
 
 def _read_depth(path: Path, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Decode depth stored in a colour image: low byte in red, high byte in green."""
-    colour = read_rgb(path).astype(np.uint32)
-    if colour.shape[:2] != size:
-        shape = f"{colour.shape[1]}x{colour.shape[0]}"
+    """Decode depth stored in a color image: low byte in red, high byte in green."""
+    color = read_rgb(path).astype(np.uint32)
+    if color.shape[:2] != size:
+        shape = f"{color.shape[1]}x{color.shape[0]}"
         raise DataError(f"the depth image {path} is {shape}; expected its image's {size[1]}x{size[0]}")
-    return (DEPTH_UNIT * (colour[..., 0] + 256 * colour[..., 1])).astype(np.float32)
+    return (DEPTH_UNIT * (color[..., 0] + 256 * color[..., 1])).astype(np.float32)
 
 
 def _read_object_mask(path: Path, size: tuple[int, int]) -> NDArray[np.bool_]:
-    colour = cv2.resize(read_rgb(path), (size[1], size[0]), interpolation=cv2.INTER_LINEAR).astype(np.int32)
-    blue = colour[..., 2]
-    return np.asarray((blue >= OBJECT_BLUE) & (blue > colour[..., 0]) & (blue > colour[..., 1]))
+    color = cv2.resize(read_rgb(path), (size[1], size[0]), interpolation=cv2.INTER_LINEAR).astype(np.int32)
+    blue = color[..., 2]
+    return np.asarray((blue >= OBJECT_BLUE) & (blue > color[..., 0]) & (blue > color[..., 1]))
 
 
 @lru_cache(maxsize=256)

@@ -32,12 +32,12 @@ class ImageFolder(FileDataset[_Item]):
 
     Layout::
 
-        images/kitchen_01.jpg             any size; grey and alpha are fine
+        images/kitchen_01.jpg             any size; gray and alpha are fine
         masks/kitchen_01/cup.png          0 outside the object; the image's size
         masks/kitchen_01/cup.2.png        a second cup
         masks/kitchen_02/                 empty or absent: nothing in this image
         depth/kitchen_01.png              optional, 16 bits
-        camera.json                       optional: {"cam_K": [9 numbers], "depth_scale": millimetres a unit}
+        camera.json                       optional: {"cam_K": [9 numbers], "depth_scale": millimeters a unit}
         train.txt, test.txt, ...          optional: image names without suffix, one a line
 
     Args:
@@ -52,9 +52,11 @@ class ImageFolder(FileDataset[_Item]):
         if not by_name:
             raise DataError(f"{path / 'images'} holds no images; expected png, jpg, bmp, tif or webp files")
         all_items = {name: _Item(image, _masks_of(path / "masks" / name)) for name, image in by_name.items()}
-        strangers = sorted({p.name for p in (path / "masks").iterdir() if p.is_dir()} - set(by_name))
-        if strangers:
-            raise DataError(f"{path / 'masks' / strangers[0]} belongs to no image; expected images/{strangers[0]}.*")
+        distractors = sorted({p.name for p in (path / "masks").iterdir() if p.is_dir()} - set(by_name))
+        if distractors:
+            raise DataError(
+                f"{path / 'masks' / distractors[0]} belongs to no image; expected images/{distractors[0]}.*"
+            )
         # classes come from all images, so that every split of a folder has the same
         classes = sorted({label for item in all_items.values() for label, _ in item.masks})
         if not classes:
@@ -101,11 +103,11 @@ def _names(path: Path, split: str, known: dict[str, Path]) -> list[str]:
 
 
 def _read_camera(file: Path) -> tuple[NDArray[np.float64] | None, float]:
-    """Return intrinsics (None when unknown) and metres a depth unit (1 mm when unknown)."""
+    """Return intrinsics (None when unknown) and meters a depth unit (1 mm when unknown)."""
     if not file.exists():
         return None, MILLIMETRE
     content: Any = read_json(file)
     try:
         return np.array(content["cam_K"], dtype=np.float64).reshape(3, 3), MILLIMETRE * float(content["depth_scale"])
     except (KeyError, TypeError, ValueError) as error:
-        raise DataError(f"{file}: expected cam_K (9 numbers) and depth_scale (millimetres a unit)") from error
+        raise DataError(f"{file}: expected cam_K (9 numbers) and depth_scale (millimeters a unit)") from error

@@ -35,11 +35,11 @@ class ManipulationStep:
 
     Attributes:
         rgb: Camera to (480, 640, 3) uint8; cameras ``main``, ``left`` (both fixed), ``wrist``.
-        depth: Camera to (480, 848) float32 metres, 0 where nothing was measured; not aligned with the colour image.
-        position: (3,) of the gripper, robot base, metres.
+        depth: Camera to (480, 848) float32 meters, 0 where nothing was measured; not aligned with the color image.
+        position: (3,) of the gripper, robot base, meters.
         quat_wxyz: (4,) of the gripper.
         joint_positions: (7,) rad.
-        gripper: (2,) finger positions, metres.
+        gripper: (2,) finger positions, meters.
         joint_velocities: (7,) rad/s.
         action: (8,): change of position (3), of orientation as quaternion wxyz (4), of the gripper's opening (1).
         is_first: Whether the episode begins here.
@@ -125,7 +125,7 @@ class Episode:
         expected = {"states": (steps, STATE_SIZE), "actions": (steps, ACTION_SIZE), "depth_scales": (steps, 3)}
         for (name, shape), found in zip(expected.items(), (states, actions, scales), strict=True):
             if found.shape != shape:
-                raise DataError(f"{file}: {name} is {found.shape}; expected {shape} for the {steps} pictures in images")
+                raise DataError(f"{file}: {name} is {found.shape}; expected {shape} for the {steps} images in images")
         return states, actions, scales, instruction
 
 

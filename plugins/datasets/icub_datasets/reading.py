@@ -44,7 +44,7 @@ def read_json(path: Path) -> Any:
 def read_rgb(path: Path) -> NDArray[np.uint8]:
     """Decode an image of any size and mode to (H, W, 3) uint8.
 
-    Grey is repeated, alpha and palettes are dropped, 16 bits become 8. A rotation in the EXIF data is not applied:
+    Gray is repeated, alpha and palettes are dropped, 16 bits become 8. A rotation in the EXIF data is not applied:
     annotations count the stored pixels.
 
     Raises:
@@ -54,10 +54,10 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
         with Image.open(path) as image:
             image.load()
             if image.mode.startswith("I") or image.mode == "F":  # PIL would clip these to 255 instead of scaling
-                grey = np.asarray(image).astype(np.float64)
+                gray = np.asarray(image).astype(np.float64)
                 if image.mode != "F":
-                    grey = grey / 257.0
-                rgb = np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+                    gray = gray / 257.0
+                rgb = np.repeat(np.clip(gray, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
             else:
                 rgb = np.array(image.convert("RGB"))
     except _BROKEN as error:
@@ -93,7 +93,7 @@ def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def read_depth(path: Path, scale: float, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Decode a depth image (H, W) float32 metres, `scale` metres a unit.
+    """Decode a depth image (H, W) float32 meters, `scale` meters a unit.
 
     Raises:
         DataError: Unreadable, or not of `size` (H, W).

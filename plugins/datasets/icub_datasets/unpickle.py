@@ -17,7 +17,7 @@ _ARRAYS = {
     for module, name in (("multiarray", "_reconstruct"), ("multiarray", "scalar"), ("numeric", "_frombuffer"))
 }
 _ALLOWED = _ARRAYS | {("numpy", "ndarray"), ("numpy", "dtype"), ("_codecs", "encode")}
-MOST_BYTES = 256 * 2**20
+MAX_BYTES = 256 * 2**20
 
 
 class _Restricted(pickle.Unpickler):
@@ -47,8 +47,8 @@ def load_plain_pickle(path: Path) -> Any:
         DataError: Missing, larger than 256 MiB, truncated, or holding anything else.
     """
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise DataError(f"{path} has {path.stat().st_size} bytes; expected at most {MOST_BYTES}")
+        if path.stat().st_size > MAX_BYTES:
+            raise DataError(f"{path} has {path.stat().st_size} bytes; expected at most {MAX_BYTES}")
         content = path.read_bytes()
         value = _Restricted(io.BytesIO(content), encoding="latin1").load()
     except OSError as error:

@@ -103,7 +103,7 @@ class YcbVideo(FileDataset[_Item]):
 class _Camera:
     intrinsics: NDArray[np.float64]
     T_world_camera: NDArray[np.float64]
-    depth_scale: float  # metres a unit
+    depth_scale: float  # meters a unit
 
 
 class _Scene:

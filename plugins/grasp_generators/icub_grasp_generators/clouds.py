@@ -10,7 +10,7 @@ from icub_core.geometry import FloatArray
 
 MIN_POINTS = 20
 MAX_EXTENT = 1.0
-"""Metres. A larger cloud is a wall or a wrong unit, not something to take into a hand."""
+"""Meters. A larger cloud is a wall or a wrong unit, not something to take into a hand."""
 MIN_EXTENT = 1e-3
 _LINE = 0.02  # ratio of the second to the first principal deviation below which the points are a line
 _OUTLIERS = 0.06  # share cut off at both ends of an extent: outliers must not span the box
@@ -51,8 +51,8 @@ def thin(points: NDArray[np.floating], count: int) -> FloatArray:
 
 def covariance(points: FloatArray) -> FloatArray:
     """Covariance (3, 3) of points (N, 3); several times faster than `np.cov`."""
-    centred = points - points.mean(axis=0)
-    return centred.T @ centred / len(points)
+    centered = points - points.mean(axis=0)
+    return centered.T @ centered / len(points)
 
 
 def trimmed_extents(rows: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:

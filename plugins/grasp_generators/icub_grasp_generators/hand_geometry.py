@@ -12,8 +12,8 @@ from icub_core.errors import ConfigError, unknown_name
 from icub_core.geometry import FloatArray, invert, make_transform, rotation_about
 from icub_core.interfaces.robot import Robot
 
-_SPACING = 0.008  # metres between spheres along a link
-_CELL = 0.004  # metres, edge of a cell of the occupancy grid
+_SPACING = 0.008  # meters between spheres along a link
+_CELL = 0.004  # meters, edge of a cell of the occupancy grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,15 +21,15 @@ class Spheres:
     """Spheres that cover a body.
 
     Attributes:
-        centers: (K, 3) metres, in the frame that the owner states.
-        radii: (K,) metres.
+        centers: (K, 3) meters, in the frame that the owner states.
+        radii: (K,) meters.
     """
 
     centers: FloatArray
     radii: FloatArray
 
     def at(self, T: FloatArray) -> FloatArray:
-        """Return the centres (..., K, 3) after the transforms `T` (..., 4, 4)."""
+        """Return the centers (..., K, 3) after the transforms `T` (..., 4, 4)."""
         return self.centers @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
 
 

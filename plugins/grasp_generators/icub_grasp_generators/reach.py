@@ -17,7 +17,7 @@ from icub_grasp_generators.hand_geometry import HandGeometry, read_hand_geometry
 
 _AT_GRASP = (0.0, 0.0)
 WAY = (_AT_GRASP, (0.10, 0.0), (0.05, 0.0), (0.0, -0.10))
-"""Where the hand must be able to stand: metres before the grasp (thesis 12.3.1: 10 and 5 cm), metres below it."""
+"""Where the hand must be able to stand: meters before the grasp (thesis 12.3.1: 10 and 5 cm), meters below it."""
 
 _TABLE_CLEARANCE = 0.004
 _CHUNK = 100  # candidates that go to inverse kinematics at once
@@ -40,7 +40,7 @@ class HandGeometries:
 
 
 def clears_table(points: FloatArray, radii: FloatArray, table: Table | None) -> NDArray[np.bool_]:
-    """Say for sphere centres (..., K, 3) of `radii` (K,) whether all stay out of the table: (...) bool."""
+    """Say for sphere centers (..., K, 3) of `radii` (K,) whether all stay out of the table: (...) bool."""
     if table is None:
         return np.ones(points.shape[:-2], dtype=bool)
     center, half = np.asarray(table.center), np.asarray(table.half_size)
@@ -125,7 +125,7 @@ class Reach:
         return bool(clears_table(forearm.at(self._robot.forward_kinematics(q, link)), forearm.radii, self._table))
 
     def _on_one_way(self, grasp: Grasp) -> bool:
-        """Say whether the arm gets from home to the first pre-grasp and from there, without a jump, along the way."""
+        """Return True if the arm gets from home to the first pre-grasp and from there, without a jump, along the way."""
         q = self._robot.description.home_q
         group = f"{grasp.hand}_reach"
         for step, offset in enumerate(sorted(WAY, reverse=True)):
@@ -137,7 +137,7 @@ class Reach:
 
 
 def on_way(grasp: Grasp, offset: tuple[float, float]) -> FloatArray:
-    """Return the hand pose (4, 4) at (metres before, metres below) a grasp."""
+    """Return the hand pose (4, 4) at (meters before, meters below) a grasp."""
     T = grasp.backed_off(offset[0]) if offset[0] else grasp.T_world_hand.copy()
     T[2, 3] -= offset[1]
     return T

@@ -19,10 +19,10 @@ class View:
     """One solid on a table, seen once.
 
     Attributes:
-        points: (N, 3) cloud, world, metres.
+        points: (N, 3) cloud, world, meters.
         half: (3,) true half sizes.
         R: (3, 3) true rotation.
-        center: (3,) true centre.
+        center: (3,) true center.
         visible: (3,) bool: the clean points span nine tenths of this axis or more.
     """
 
@@ -70,7 +70,7 @@ def single_view(
         rng: Decides everything.
         count: Points.
         outliers: Share of the points that is spread over a box 5 cm larger than the cloud instead.
-        noise: Standard deviation of the other points, metres.
+        noise: Standard deviation of the other points, meters.
     """
     half = rng.uniform(0.02, 0.09, 3)
     if kind == "cylinder":

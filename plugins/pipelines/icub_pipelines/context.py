@@ -30,7 +30,7 @@ class RunContext:
         metrics: Flat figures, by key.
         seconds: Wall time by stage.
         notes: What the reader of the report must know.
-        pictures: Caption and file of the pictures made.
+        images: Caption and file of the images made.
     """
 
     run_dir: Path
@@ -74,7 +74,7 @@ class RunContext:
     def remember(self, stage: str) -> None:
         """Note in the run folder that everything up to `stage` is done, with its figures."""
         content: dict[str, Any] = {"metrics": self.metrics, "seconds": self.seconds, "notes": self.notes}
-        content["pictures"] = [[caption, path.name] for caption, path in self.pictures]
+        content["images"] = [[caption, path.name] for caption, path in self.pictures]
         write_text_atomically(self.run_dir / f"done_{stage}.json", json.dumps(content, indent=2) + "\n")
 
     def recall(self, stage: str) -> bool:
@@ -86,5 +86,5 @@ class RunContext:
         self.metrics.update(content["metrics"])
         self.seconds.update(content["seconds"])
         self.notes[:] = content["notes"]
-        self.pictures[:] = [(caption, self.run_dir / name) for caption, name in content["pictures"]]
+        self.pictures[:] = [(caption, self.run_dir / name) for caption, name in content["images"]]
         return True

@@ -9,11 +9,11 @@ from rich.table import Table
 
 from icub_core.errors import ConfigError, IcubError, unknown_name
 from icub_core.interfaces.object_set import ObjectSet
-from icub_pipelines.teaching_session import Classroom, identities
+from icub_core.scene import ObjectSpec
 from icub_pipelines.images import draw_instances, save_picture
 from icub_pipelines.settings import ShowingSettings
 from icub_pipelines.tabletop import Tabletop
-from icub_core.scene import ObjectSpec
+from icub_pipelines.teaching_session import TeachingSession, identities
 
 HELP = """\
 teach NAME        show an object and learn it
@@ -26,7 +26,7 @@ PROMPT = "icub> "
 
 
 def converse(
-    classroom: Classroom,
+    session: TeachingSession,
     objects: ObjectSet,
     unknown: Sequence[ObjectSpec],
     settings: ShowingSettings,
@@ -35,33 +35,33 @@ def converse(
     """Answer commands until ``quit`` or the end of the input; a wrong command gets one line and changes nothing.
 
     Args:
-        classroom: Who teaches and learns.
+        teaching session: Who teaches and learns.
         objects: What can be shown, besides `unknown`.
         unknown: Objects that stand about and can be taught, too.
-        settings: Frames of a lesson.
+        settings: Frames of a training image.
         ask: Returns what was typed after a prompt; raises EOFError at the end of the input.
     """
-    _Conversation(classroom, objects, unknown, settings).go_on(ask)
+    _Conversation(session, objects, unknown, settings).go_on(ask)
 
 
 class _Conversation:
     def __init__(
-        self, classroom: Classroom, objects: ObjectSet, unknown: Sequence[ObjectSpec], settings: ShowingSettings
+        self, session: TeachingSession, objects: ObjectSet, unknown: Sequence[ObjectSpec], settings: ShowingSettings
     ) -> None:
-        self._classroom, self._settings = classroom, settings
+        self._session, self._settings = session, settings
         self._specs = {name: objects.get(name) for name in objects.names} | {spec.name: spec for spec in unknown}
         self._console = Console()
         self._looks = 0
-        self._lessons = 0
+        self._training_images = 0
         self._commands = {
             "teach": self._teach, "look": self._look, "known": self._known, "objects": self._objects,
             "save": self._save, "help": self._help,
         }  # fmt: skip
 
     def go_on(self, ask: Callable[[str], str]) -> None:
-        if self._classroom.heads.is_dir():
-            self._classroom.segmenter.load(self._classroom.heads)
-            self._console.print(f"going on with what was learned in {self._classroom.heads}", soft_wrap=True)
+        if self._session.heads.is_dir():
+            self._session.segmenter.load(self._session.heads)
+            self._console.print(f"going on with what was learned in {self._session.heads}", soft_wrap=True)
         self._console.print("type help for the commands")
         while True:
             try:
@@ -76,8 +76,8 @@ class _Conversation:
                 except IcubError as error:
                     self._console.print(str(error), soft_wrap=True, markup=False)
         self._save()
-        self._classroom.context.record(
-            {"showing.objects": len(self._classroom.segmenter.classes), "showing.lessons": self._lessons}
+        self._session.context.record(
+            {"showing.objects": len(self._session.segmenter.classes), "showing.training_images": self._training_images}
         )
 
     def _answer(self, command: str, *words: str) -> None:
@@ -95,22 +95,22 @@ class _Conversation:
     def _teach(self, *names: str) -> None:
         if len(names) != 1:
             raise ConfigError("teach needs the name of one object, such as: teach 004_sugar_box")
-        context = self._classroom.context
+        context = self._session.context
         spec = self._spec(names[0])
-        self._lessons += 1
+        self._training_images += 1
         with context.stage("teach"):
-            rng = context.rng(f"teach {len(self._classroom.segmenter.classes)} {self._lessons}")
-            report, sample, seconds = self._classroom.teach(spec, self._settings.frames, rng)
-        picture = context.run_dir / f"taught_{self._lessons:02d}.png"
+            rng = context.rng(f"teach {len(self._session.segmenter.classes)} {self._training_images}")
+            report, sample, seconds = self._session.teach(spec, self._settings.frames, rng)
+        picture = context.run_dir / f"taught_{self._training_images:02d}.png"
         save_picture(picture, sample)
-        self._classroom.segmenter.save(self._classroom.heads)
+        self._session.segmenter.save(self._session.heads)
         self._console.print(
             f"learned {spec.name}: {seconds:.1f} s in all, {report.seconds:.1f} s after the last frame; {picture}",
             soft_wrap=True,
         )
 
     def _look(self, *names: str) -> None:
-        segmenter, context = self._classroom.segmenter, self._classroom.context
+        segmenter, context = self._session.segmenter, self._session.context
         if not segmenter.classes:
             raise ConfigError("nothing is known yet; expected: teach NAME first")
         self._looks += 1
@@ -122,8 +122,8 @@ class _Conversation:
         else:
             other, tabletop = [s for s in self._specs.values() if s.name not in segmenter.classes], Tabletop(frames=1)
         with context.stage("look"):
-            looks = self._classroom.look(known, other, tabletop, context.rng(f"look {self._looks}"))
-            (found,) = self._classroom.recognise(looks)
+            looks = self._session.look(known, other, tabletop, context.rng(f"look {self._looks}"))
+            (found,) = self._session.recognize(looks)
         frame, truth = looks[0]
         table = Table("seen as", "score", "in truth")
         shown = identities(found, truth)
@@ -135,15 +135,15 @@ class _Conversation:
         self._console.print(f"on the table: {', '.join(t.label for t in truth)}; {picture}", soft_wrap=True)
 
     def _known(self) -> None:
-        self._console.print(", ".join(self._classroom.segmenter.classes) or "nothing yet", soft_wrap=True)
+        self._console.print(", ".join(self._session.segmenter.classes) or "nothing yet", soft_wrap=True)
 
     def _objects(self) -> None:
         self._console.print(", ".join(self._specs), soft_wrap=True)
 
     def _save(self) -> None:
-        if self._classroom.segmenter.classes:
-            self._classroom.segmenter.save(self._classroom.heads)
-            self._console.print(f"saved in {self._classroom.heads}", soft_wrap=True)
+        if self._session.segmenter.classes:
+            self._session.segmenter.save(self._session.heads)
+            self._console.print(f"saved in {self._session.heads}", soft_wrap=True)
 
     def _help(self) -> None:
         self._console.print(HELP, markup=False)

@@ -15,19 +15,19 @@ Mask = NDArray[np.bool_]
 
 MINIMUM_PIXELS = 150
 """A smaller blob is noise, or an object too far away to be taught."""
-LARGEST_SHARE = 0.4
-"""A blob that covers more of the picture is the room, or an object held too close."""
+MAX_SHARE = 0.4
+"""A blob that covers more of the image is the room, or an object held too close."""
 DEPTH_EXTENT = 0.22
-"""How far behind its nearest point a hand-held object may reach, metres."""
+"""How far behind its nearest point a hand-held object may reach, meters."""
 DEPTH_STEP = 0.025
-"""A larger jump between neighbouring pixels separates two surfaces, metres."""
+"""A larger jump between neighboring pixels separates two surfaces, meters."""
 
 
 def closest_blob(depth: NDArray[np.float32]) -> Mask | None:
     """Segment the object nearest to the camera.
 
     Args:
-        depth: (H, W) float32, metres, 0 where nothing was measured.
+        depth: (H, W) float32, meters, 0 where nothing was measured.
 
     Returns:
         (H, W) bool, or None when nothing large enough stands out.
@@ -44,13 +44,13 @@ def closest_blob(depth: NDArray[np.float32]) -> Mask | None:
     if not large:
         return None
     blob = labels == min(large, key=lambda label: float(np.percentile(depth[labels == label], 5)))
-    if np.count_nonzero(blob) > LARGEST_SHARE * blob.size:
+    if np.count_nonzero(blob) > MAX_SHARE * blob.size:
         return None
     return _with_rim(blob, depth, candidate)
 
 
 def _depth_edges(depth: NDArray[np.float32]) -> Mask:
-    """Mark the pixels whose right or lower neighbour lies on another surface."""
+    """Mark the pixels whose right or lower neighbor lies on another surface."""
     edges = np.zeros(depth.shape, dtype=bool)
     edges[:, :-1] |= np.abs(np.diff(depth, axis=1)) > DEPTH_STEP
     edges[:-1, :] |= np.abs(np.diff(depth, axis=0)) > DEPTH_STEP
@@ -61,8 +61,8 @@ def _with_rim(blob: Mask, depth: NDArray[np.float32], candidate: Mask) -> Mask:
     """Give back the pixels that the edge test took from the blob's own side of its outline, and close pinholes."""
     grown = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     rim = grown & ~blob & candidate
-    neighbourhood = cv2.erode(np.where(blob, depth, np.float32(np.inf)), np.ones((3, 3), np.uint8))
-    whole = blob | (rim & (np.abs(depth - neighbourhood) < DEPTH_STEP))
+    neighborhood = cv2.erode(np.where(blob, depth, np.float32(np.inf)), np.ones((3, 3), np.uint8))
+    whole = blob | (rim & (np.abs(depth - neighborhood) < DEPTH_STEP))
     closed = cv2.morphologyEx(whole.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)).astype(bool)
     return closed & candidate
 
@@ -80,7 +80,7 @@ class CoherentMasks:
     """
 
     def __init__(self, minimum_overlap: float = 0.5) -> None:
-        """Keep frames whose masks overlap both neighbours by at least `minimum_overlap` (IoU)."""
+        """Keep frames whose masks overlap both neighbors by at least `minimum_overlap` (IoU)."""
         self.minimum_overlap = minimum_overlap
         self.rejected = 0
         self._pending: tuple[RgbdFrame, Mask] | None = None

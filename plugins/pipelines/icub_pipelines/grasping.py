@@ -1,4 +1,4 @@
-"""The stages plan and grasp: poses from what the camera sees, episodes of a policy, a film of the last ones."""
+"""The stages plan and grasp: poses from what the camera sees, episodes of a policy, a video of the last ones."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ import numpy as np
 from tensordict import TensorDictBase
 
 from icub_core.geometry import look_at
+from icub_core.hooks import Events
+from icub_core.interfaces.policy import Policy
+from icub_core.scene import CameraView
+from icub_pipelines.context import RunContext
+from icub_pipelines.images import captioned, save_animation
+from icub_pipelines.settings import GraspSettings
 from icub_tasks.grasping.env import GraspEnv
 from icub_tasks.grasping.evaluation import EpisodeResults, evaluate
 from icub_tasks.grasping.plan import GraspPlan
 from icub_tasks.grasping.task import GraspTask
 from icub_tasks.grasping.termination import EndReason
-from icub_core.hooks import Events
-from icub_core.interfaces.policy import Policy
-from icub_pipelines.context import RunContext
-from icub_pipelines.images import captioned, save_animation
-from icub_pipelines.settings import GraspSettings
-from icub_core.scene import CameraView
 
 EVALUATION_SEED = 1_000_000
 """Added to the run's seed, so that evaluation never meets the starts that were learned from."""
 PLANS_TRIED = 10
-FILM_EVERY = 4
-"""Control steps between two pictures of the film: ten a second."""
-FILM_SIZE = (320, 240)
-FILM_VIEW = CameraView(look_at([-0.92, 0.5, 1.32], [-0.27, 0.03, 1.13]), fovy=0.78)
+VIDEO_EVERY = 4
+"""Control steps between two images of the video: ten a second."""
+VIDEO_SIZE = (320, 240)
+VIDEO_VIEW = CameraView(look_at([-0.92, 0.5, 1.32], [-0.27, 0.03, 1.13]), fovy=0.78)
 """From across the table, on the side of the right hand."""
 
 
@@ -48,7 +48,7 @@ def plan(context: RunContext, task: GraspTask, target: str) -> None:
 
 
 def grasp(context: RunContext, env: GraspEnv, policy: Policy, settings: GraspSettings) -> EpisodeResults:
-    """Let the policy learn within its budget, then evaluate it on fresh starts and film the last episodes."""
+    """Let the policy learn within its budget, then evaluate it on fresh starts and video the last episodes."""
     report = policy.learn(env, context.run_dir / "policy", lambda share, text: context.progress(0.7 * share, text))
     if report.env_steps:
         context.record(
@@ -59,12 +59,12 @@ def grasp(context: RunContext, env: GraspEnv, policy: Policy, settings: GraspSet
                 **{f"grasp.learn_{key}": value for key, value in report.metrics.items()},
             }
         )
-    film = Film(settings.episodes - settings.video_episodes)
+    video = Video(settings.episodes - settings.video_episodes)
     seed = context.seed + EVALUATION_SEED
     announce = Announcer(context.events, seed)
 
     def record(world: int, env: GraspEnv, episode: int, step: TensorDictBase) -> None:
-        film.record(world, env, episode)
+        video.record(world, env, episode)
         announce.record(episode, step)
 
     results = evaluate(
@@ -83,11 +83,11 @@ def grasp(context: RunContext, env: GraspEnv, policy: Policy, settings: GraspSet
             "grasp.success_high": high,
             "grasp.episodes": len(results),
             "grasp.faults": results.faults,
-            "grasp.redrawn_poses": results.redraws,
+            "grasp.resampled_poses": results.resamples,
             **{f"grasp.ended_{reason}": count for reason, count in results.ends().items()},
         }
     )
-    pictures = film.pictures(results)
+    pictures = video.pictures(results)
     if pictures:
         path = context.run_dir / "grasp.gif"
         save_animation(path, pictures, frames_per_second=10)
@@ -122,8 +122,8 @@ class Announcer:
             )
 
 
-class Film:
-    """Pictures of the last episodes, kept by episode so that worlds running side by side do not mix."""
+class Video:
+    """Images of the last episodes, kept by episode so that worlds running side by side do not mix."""
 
     def __init__(self, first_episode: int) -> None:
         """Film episodes from number `first_episode` on."""
@@ -132,18 +132,18 @@ class Film:
         self._steps: dict[int, int] = {}
 
     def record(self, world: int, env: GraspEnv, episode: int) -> None:
-        """Take a picture when it is time."""
+        """Take a image when it is time."""
         if episode < self._first:
             return
         step = self._steps[episode] = self._steps.get(episode, -1) + 1
-        if step % FILM_EVERY == 0:
-            picture = env.batch.tasks[world].simulator.render(FILM_VIEW, *FILM_SIZE, shadows=True)
+        if step % VIDEO_EVERY == 0:
+            picture = env.batch.tasks[world].simulator.render(VIDEO_VIEW, *VIDEO_SIZE, shadows=True)
             self._pictures.setdefault(episode, []).append(picture.frame.rgb)
 
     def pictures(self, results: EpisodeResults) -> Sequence[np.ndarray]:
-        """Return all pictures, episode after episode, each saying how its episode ended."""
-        film = []
+        """Return all images, episode after episode, each saying how its episode ended."""
+        video = []
         for episode, pictures in sorted(self._pictures.items()):
-            verdict = "grasped" if results.success[episode] else "failed"
-            film += [captioned(p, f"{results.objects[episode]}, episode {episode}: {verdict}") for p in pictures]
-        return film
+            outcome = "grasped" if results.success[episode] else "failed"
+            video += [captioned(p, f"{results.objects[episode]}, episode {episode}: {outcome}") for p in pictures]
+        return video

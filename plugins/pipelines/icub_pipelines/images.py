@@ -1,4 +1,4 @@
-"""Pictures for people: masks drawn on images, contact sheets, animations."""
+"""Images for people: masks drawn on images, contact sheets, animations."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from icub_core.files import write_bytes_atomically
 Image = NDArray[np.uint8]
 
 
-def colour_of(label: str) -> tuple[int, int, int]:
-    """Return a bright RGB colour that is always the same for one label."""
+def color_of(label: str) -> tuple[int, int, int]:
+    """Return a bright RGB color that is always the same for one label."""
     hue = int.from_bytes(hashlib.sha256(label.encode()).digest()[:2], "big") % 180
     rgb = cv2.cvtColor(np.array([[[hue, 210, 255]]], np.uint8), cv2.COLOR_HSV2RGB)[0, 0]
     return int(rgb[0]), int(rgb[1]), int(rgb[2])
@@ -28,22 +28,22 @@ def draw_instances(rgb: Image, instances: Sequence[Instance]) -> Image:
     """Return a copy of an image (H, W, 3) with masks, boxes and names of the instances drawn on it."""
     canvas = rgb.copy()
     for instance in instances:
-        colour = colour_of(instance.label)
-        canvas[instance.mask] = (0.55 * canvas[instance.mask] + 0.45 * np.array(colour)).astype(np.uint8)
+        color = color_of(instance.label)
+        canvas[instance.mask] = (0.55 * canvas[instance.mask] + 0.45 * np.array(color)).astype(np.uint8)
         outlines, _ = cv2.findContours(instance.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-        cv2.drawContours(canvas, outlines, -1, colour, 1)
+        cv2.drawContours(canvas, outlines, -1, color, 1)
     for instance in instances:  # names last, so that no mask covers them
         x, y = int(instance.box[0]), int(instance.box[1])
         caption = f"{instance.label} {instance.score:.2f}"
-        _write(canvas, caption, (max(x, 1), max(y - 3, 9)), colour_of(instance.label))
+        _write(canvas, caption, (max(x, 1), max(y - 3, 9)), color_of(instance.label))
     return canvas
 
 
-def _write(canvas: Image, text: str, origin: tuple[int, int], colour: tuple[int, int, int]) -> None:
+def _write(canvas: Image, text: str, origin: tuple[int, int], color: tuple[int, int, int]) -> None:
     (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.33, 1)
     x, y = min(origin[0], max(canvas.shape[1] - width - 2, 0)), origin[1]
     cv2.rectangle(canvas, (x - 1, y - height - 1), (x + width + 1, y + 3), (20, 20, 20), cv2.FILLED)
-    cv2.putText(canvas, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.33, colour, 1, cv2.LINE_AA)
+    cv2.putText(canvas, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.33, color, 1, cv2.LINE_AA)
 
 
 def captioned(rgb: Image, text: str) -> Image:

@@ -13,15 +13,15 @@ from omegaconf import DictConfig
 from icub_core.config.assembly import Assembly
 from icub_core.config.settings import build_scene, to_dataclass
 from icub_core.errors import ConfigError
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.task import GraspTask
-from icub_tasks.grasping.visual import PictureEncoder
 from icub_core.interfaces.segmenter import Segmenter
+from icub_core.scene import ObjectSpec
 from icub_pipelines import grasping, seeing
 from icub_pipelines.context import RunContext
 from icub_pipelines.lifecycle import carry_out
 from icub_pipelines.settings import GraspSettings, MainSettings, grasped, shown
-from icub_core.scene import ObjectSpec
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.task import GraspTask
+from icub_tasks.grasping.visual import PictureEncoder
 
 logger = logging.getLogger(__name__)
 
@@ -100,8 +100,8 @@ def _learn_to_see(
             seeing.learn(context, segmenter)
         with context.stage("see"):
             names = [spec.name for spec in taught]
-            strangers = seeing.strangers(objects, names, settings.see.strangers, context.rng("strangers"))
-            seeing.see(context, simulator, taught, strangers, segmenter, settings.see)
+            distractors = seeing.distractors(objects, names, settings.see.distractors, context.rng("strangers"))
+            seeing.see(context, simulator, taught, distractors, segmenter, settings.see)
     finally:
         simulator.close()
     segmenter.save(heads)
@@ -121,7 +121,7 @@ def grasp_env(
     Args:
         cfg: Composed configuration, for the scene.
         plugins: Of the run.
-        segmenter: Finds the target in the picture; None takes the simulator's ground truth.
+        segmenter: Finds the target in the image; None takes the simulator's ground truth.
         target: Name of the object.
         settings: Of the stage.
         seed: Of the starts.

@@ -48,7 +48,7 @@ def write_report(
         title: Heading.
         metrics: Flat figures.
         stages: Seconds by stage.
-        pictures: Caption and file of each picture; they are embedded.
+        images: Caption and file of each image; they are embedded.
         notes: Lines the reader must know, such as which stage used ground truth.
         configuration: Resolved configuration as YAML.
     """

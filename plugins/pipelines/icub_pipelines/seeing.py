@@ -8,25 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core import registry
+from icub_core.appearance import random_lights, random_surface
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import DataError
 from icub_core.evaluation.detection import evaluate_instances
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.interfaces.simulator import Simulator
-from icub_core.appearance import random_lights, random_surface
+from icub_core.robot_description import RobotDescription
+from icub_core.scene import ObjectSpec, Scene, Table
 from icub_pipelines.context import RunContext
 from icub_pipelines.images import Image, contact_sheet, draw_instances, save_picture
 from icub_pipelines.settings import SeeSettings
 from icub_pipelines.tabletop import Tabletop, tabletop_pictures
 from icub_pipelines.teacher import Showing, annotate, show
-from icub_core.robot_description import RobotDescription
-from icub_core.scene import ObjectSpec, Scene, Table
 
 SHEET_COLUMNS = 4
-STRANGERS_SET = "random1000"
-STRANGER_SIZE = (0.08, 0.2)
-"""Smallest and largest extent to which strangers are scaled, metres: sizes alone must not give the targets away."""
+DISTRACTORS_SET = "random1000"
+DISTRACTOR_SIZE = (0.08, 0.2)
+"""Smallest and largest extent to which distractors are scaled, meters: sizes alone must not give the targets away."""
 
 
 def teach(
@@ -69,7 +69,7 @@ def teach_object(
         robot: Looks on.
         spec: What is shown, under its own name.
         segmenter: Observes.
-        frames: Pictures taken.
+        frames: Images taken.
         rng: Decides the room and how the object is moved.
         progress: Called with the finished share and a text.
 
@@ -91,7 +91,7 @@ def teach_object(
         if sample is None or seen == frames // 2:
             sample = draw_instances(frame.rgb, (instance,))
     if sample is None:
-        raise DataError(f"no frame of '{spec.name}' gave a mask that agrees with its neighbours; show it more slowly")
+        raise DataError(f"no frame of '{spec.name}' gave a mask that agrees with its neighbors; show it more slowly")
     return seen, sample
 
 
@@ -106,7 +106,7 @@ def see(
     context: RunContext,
     simulator: Simulator,
     targets: Sequence[ObjectSpec],
-    strangers: Sequence[ObjectSpec],
+    distractors: Sequence[ObjectSpec],
     segmenter: Segmenter,
     settings: SeeSettings,
 ) -> None:
@@ -115,24 +115,24 @@ def see(
     predictions: list[tuple[Instance, ...]] = []
     examples: list[Image] = []
     names = [spec.name for spec in targets]
-    pictures = tabletop_pictures(simulator, targets, strangers, Tabletop(frames=settings.frames), context.rng("see"))
+    pictures = tabletop_pictures(simulator, targets, distractors, Tabletop(frames=settings.frames), context.rng("see"))
     for number, (frame, present) in enumerate(pictures):
         found = segmenter.segment(frame)
         truths.append(tuple(instance for instance in present if instance.label in names))
         predictions.append(found)
         if len(examples) < 2 * SHEET_COLUMNS:
             examples.append(draw_instances(frame.rgb, confident(found)))
-        context.progress((number + 1) / settings.frames, f"{number + 1} of {settings.frames} pictures")
+        context.progress((number + 1) / settings.frames, f"{number + 1} of {settings.frames} images")
     metrics = evaluate_instances(truths, predictions, names)
     context.record(metrics.as_dict("segmentation."))
     context.record({"segmentation.test_frames": len(truths), "segmentation.test_objects": sum(map(len, truths))})
-    save_sheet(context, "Seen on the table, among strangers, in other rooms", "seen.png", examples)
+    save_sheet(context, "Seen on the table, among distractors, in other rooms", "seen.png", examples)
 
 
-def strangers(objects: ObjectSet, taught: Sequence[str], count: int, rng: np.random.Generator) -> list[ObjectSpec]:
+def distractors(objects: ObjectSet, taught: Sequence[str], count: int, rng: np.random.Generator) -> list[ObjectSpec]:
     """Draw objects that are never taught: half of them from the rest of the object set, the others random ones."""
     rest = [objects.get(name) for name in objects.names if name not in taught][: count // 2]
-    random = registry.build("objects", STRANGERS_SET, size=list(STRANGER_SIZE))
+    random = registry.build("objects", DISTRACTORS_SET, size=list(DISTRACTOR_SIZE))
     drawn = rng.choice(len(random.names), count - len(rest), replace=False)
     return rest + [random.get(random.names[i]) for i in sorted(drawn)]
 
@@ -153,7 +153,7 @@ def find_mask(segmenter: Segmenter, frame: RgbdFrame, name: str) -> NDArray[np.b
 
 
 def save_sheet(context: RunContext, caption: str, file_name: str, images: Sequence[Image]) -> None:
-    """Write images of one size as one picture into the run folder, for the report."""
+    """Write images of one size as one image into the run folder, for the report."""
     if images:
         path = context.run_dir / file_name
         save_picture(path, contact_sheet(images, SHEET_COLUMNS))

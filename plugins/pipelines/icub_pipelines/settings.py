@@ -18,7 +18,7 @@ class TeachSettings:
     Attributes:
         objects: Names from the object set, in the order of showing; None shows `SHOWN`, or the first five of a set
             that has not all of them.
-        frames: Pictures of each.
+        frames: Images of each.
     """
 
     objects: list[str] | None = None
@@ -30,12 +30,12 @@ class SeeSettings:
     """The examination.
 
     Attributes:
-        frames: Test pictures.
-        strangers: Objects that are never taught but stand about, drawn from the object set and `random1000`.
+        frames: Test images.
+        distractors: Objects that are never taught but stand about, drawn from the object set and `random1000`.
     """
 
     frames: int = 50
-    strangers: int = 12
+    distractors: int = 12
 
 
 @dataclass
@@ -46,11 +46,11 @@ class GraspSettings:
         target: Object to grasp, from the object set; None is `TARGET` where it is taught (or, without a segmenter,
             in the set), else the first one.
         episodes: Evaluation episodes after learning.
-        video_episodes: The last of them that are filmed.
+        video_episodes: The last of them that are recorded.
         worlds: Simulated worlds side by side.
         starts: Planned starts that each world keeps while a policy learns; evaluation always plans afresh.
         threads: Threads that step physics.
-        visual: Let policies see the head camera's picture, as the chosen feature extractor describes it.
+        visual: Let policies see the head camera's image, as the chosen feature extractor describes it.
     """
 
     target: str | None = None
@@ -79,9 +79,9 @@ class ShowingSettings:
     Attributes:
         objects: Shown in this order; what is learned of one is there before the next is shown. None shows the first
             three of `SHOWN`, or of a set that has not all of them.
-        frames: Pictures of each.
-        looks: Pictures of the table in which false positives are sought, and as many others that measure the change.
-        strangers: Objects that stand about unknown; one of them is mistaken, and then taught.
+        frames: Images of each.
+        looks: Images of the table in which false positives are sought, and as many others that measure the change.
+        distractors: Objects that stand about unknown; one of them is mistaken, and then taught.
         interactive: Take commands from the terminal instead of following the script.
     """
 
@@ -89,7 +89,7 @@ class ShowingSettings:
     objects: list[str] | None = None
     frames: int = 60
     looks: int = 24
-    strangers: int = 10
+    distractors: int = 10
     interactive: bool = False
 
 

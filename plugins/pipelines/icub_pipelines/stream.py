@@ -2,7 +2,7 @@
 
 The source (a camera, a simulator) and the extraction of features run side by side, with a bounded queue between
 them: a source that is faster than the extraction waits, so memory stays bounded and no frame is lost. Frames are
-learnt from in the order in which they came, one at a time, so the result is that of the batch protocol on the same
+learned from in the order in which they came, one at a time, so the result is that of the batch protocol on the same
 frames and seed.
 
 Source: thesis 11.7 and appendix C, the stream-based scenario.
@@ -37,8 +37,8 @@ class StreamReport:
         update: Of the heads.
         seconds_after_last_frame: From the arrival of the last frame until the heads were trained: frames still in the
             queue, and the update.
-        frames: Learnt from.
-        skipped: Frames that could not be learnt from (``on_error="skip"``).
+        frames: Learned from.
+        skipped: Frames that could not be learned from (``on_error="skip"``).
         waited: Seconds that the source was held back because the queue was full.
         longest_queue: Frames that waited at most.
     """
@@ -60,7 +60,7 @@ class StreamTeacher:
             report = teacher.finish()
 
     Nothing else may use the segmenter between the first `push` and the end of `finish`. Leaving the context without
-    `finish` (on an exception, say) stops after the frame that is being learnt from.
+    `finish` (on an exception, say) stops after the frame that is being learned from.
     """
 
     def __init__(self, segmenter: Segmenter, capacity: int = 8, on_error: str = "stop") -> None:
@@ -69,7 +69,7 @@ class StreamTeacher:
         Args:
             segmenter: Learns.
             capacity: Frames that may wait at most.
-            on_error: ``"stop"``: a frame that cannot be learnt from ends the stream with its error; ``"skip"``: it is
+            on_error: ``"stop"``: a frame that cannot be learned from ends the stream with its error; ``"skip"``: it is
                 left out with a warning.
         """
         if capacity < 1:
@@ -89,7 +89,7 @@ class StreamTeacher:
         """Hand over one annotated frame; returns when there is room for it in the queue.
 
         Raises:
-            DataError: An earlier frame could not be learnt from (``on_error="stop"``); or the stream has ended.
+            DataError: An earlier frame could not be learned from (``on_error="stop"``); or the stream has ended.
         """
         self._raise_error()
         if self._stopped.is_set():
@@ -104,7 +104,7 @@ class StreamTeacher:
         """Learn from what is still in the queue and train the heads.
 
         Raises:
-            DataError: A frame could not be learnt from (``on_error="stop"``).
+            DataError: A frame could not be learned from (``on_error="stop"``).
         """
         self._put(None)
         self._thread.join()

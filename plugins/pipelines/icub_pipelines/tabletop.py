@@ -1,4 +1,4 @@
-"""Test pictures: taught objects among strangers on a table, never in the room where they were taught."""
+"""Test images: taught objects among distractors on a table, never in the room where they were taught."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from icub_core.appearance import random_lights, random_surface
 from icub_core.data import Instance, RgbdFrame
 from icub_core.geometry import look_at, make_transform, quat_wxyz_to_matrix, rotation_about
 from icub_core.interfaces.simulator import Rendering, Simulator
-from icub_core.appearance import random_lights, random_surface
 from icub_core.scene import CameraView, ObjectSpec, Scene, Table
 
 FRAMES_PER_ROOM = 5
-"""Pictures taken before table, floor and lamps change."""
+"""Images taken before table, floor and lamps change."""
 MINIMUM_VISIBLE_PIXELS = 80
 """An object that shows less is no fair question."""
 
 
 @dataclass(frozen=True)
 class Tabletop:
-    """What the test pictures look like.
+    """What the test images look like.
 
     Attributes:
         frames: How many.
-        targets, strangers: Lowest and highest number of taught and never taught objects in a picture.
-        spread: Half side of the area on the table in which things stand, metres.
-        nearest, farthest: Camera distance from the middle of that area, metres.
+        targets, distractors: Lowest and highest number of taught and never taught objects in a image.
+        spread: Half side of the area on the table in which things stand, meters.
+        nearest, farthest: Camera distance from the middle of that area, meters.
         width, height: Pixels.
     """
 
     frames: int = 50
     targets: tuple[int, int] = (2, 4)
-    strangers: tuple[int, int] = (2, 4)
+    distractors: tuple[int, int] = (2, 4)
     spread: float = 0.22
     nearest: float = 0.55
     farthest: float = 0.85
@@ -49,7 +49,7 @@ def standing_pose(spec: ObjectSpec, x: float, y: float, table_top: float, yaw: f
 
 
 def _footprint(spec: ObjectSpec) -> float:
-    """Return the radius of a disc around the object's centre that it stands within, metres."""
+    """Return the radius of a disc around the object's center that it stands within, meters."""
     extents = np.abs(quat_wxyz_to_matrix(spec.rest_quat_wxyz)) @ np.asarray(spec.half_extents)
     return float(np.hypot(extents[0], extents[1]))
 
@@ -85,20 +85,20 @@ def visible_instances(picture: Rendering, names: Sequence[str]) -> tuple[Instanc
 def tabletop_pictures(
     simulator: Simulator,
     targets: Sequence[ObjectSpec],
-    strangers: Sequence[ObjectSpec],
+    distractors: Sequence[ObjectSpec],
     tabletop: Tabletop,
     rng: np.random.Generator,
 ) -> Iterator[tuple[RgbdFrame, tuple[Instance, ...]]]:
-    """Yield pictures and the true instances of all objects in them, strangers included.
+    """Yield images and the true instances of all objects in them, distractors included.
 
     Args:
         simulator: Its world is replaced.
         targets: Taught objects.
-        strangers: Objects that were never taught.
+        distractors: Objects that were never taught.
         tabletop: Numbers and ranges.
         rng: Decides everything random.
     """
-    objects = (*targets, *strangers)
+    objects = (*targets, *distractors)
     names = [spec.name for spec in objects]
     scene = Scene(objects=objects)
     table = scene.table or Table()
@@ -110,7 +110,7 @@ def tabletop_pictures(
             simulator.load(None, room)  # cameras stand anywhere, also where the robot's head would be in the way
         simulator.reset()
         drawn: list[ObjectSpec] = []
-        for pool, (low, high) in ((targets, tabletop.targets), (strangers, tabletop.strangers)):
+        for pool, (low, high) in ((targets, tabletop.targets), (distractors, tabletop.distractors)):
             count = min(int(rng.integers(low, high + 1)), len(pool))
             drawn += [pool[i] for i in rng.permutation(len(pool))[:count]]
         for name, (x, y) in scatter(drawn, middle, tabletop.spread, rng).items():

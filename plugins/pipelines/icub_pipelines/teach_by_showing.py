@@ -15,20 +15,20 @@ from icub_core.config.settings import to_dataclass
 from icub_core.data import Instance
 from icub_core.errors import ConfigError
 from icub_core.evaluation.detection import evaluate_instances
+from icub_core.scene import ObjectSpec
 from icub_pipelines import seeing
-from icub_pipelines.teaching_session import Classroom, Look, Mistake, mistakes, recognised
 from icub_pipelines.context import RunContext
 from icub_pipelines.conversation import converse
-from icub_pipelines.lifecycle import carry_out
 from icub_pipelines.images import draw_instances
+from icub_pipelines.lifecycle import carry_out
 from icub_pipelines.settings import ShowingSettings, shown
 from icub_pipelines.tabletop import Tabletop
-from icub_core.scene import ObjectSpec
+from icub_pipelines.teaching_session import Look, Mistake, TeachingSession, mistakes, recognized
 
 OBJECTS = 3
 """Shown when nothing was chosen."""
-COMPANY = 3
-"""Other unknown objects that stand beside the corrected one in the pictures that measure the correction."""
+DEPENDENCIES = 3
+"""Other unknown objects that stand beside the corrected one in the images that measure the correction."""
 
 
 def run(cfg: DictConfig, run_dir: Path) -> dict[str, Any]:
@@ -57,82 +57,82 @@ def _stages(context: RunContext, cfg: DictConfig, settings: ShowingSettings) -> 
     taught = [objects.get(name) for name in names]
     if not taught:
         raise ConfigError("pipeline.objects is empty; expected at least one name of the object set")
-    unknown = seeing.strangers(objects, names, settings.strangers, context.rng("strangers"))
+    unknown = seeing.distractors(objects, names, settings.distractors, context.rng("strangers"))
     simulator = plugins.fresh("simulator")
-    classroom = Classroom(context, simulator, plugins.get("robot").description, plugins.get("segmenter"))
+    session = TeachingSession(context, simulator, plugins.get("robot").description, plugins.get("segmenter"))
     try:
         if settings.interactive:
-            converse(classroom, objects, unknown, settings)
+            converse(session, objects, unknown, settings)
         else:
-            _script(classroom, taught, unknown, settings)
+            _script(session, taught, unknown, settings)
     finally:
         simulator.close()
 
 
 def _script(
-    classroom: Classroom, taught: Sequence[ObjectSpec], unknown: Sequence[ObjectSpec], settings: ShowingSettings
+    session: TeachingSession, taught: Sequence[ObjectSpec], unknown: Sequence[ObjectSpec], settings: ShowingSettings
 ) -> None:
-    context = classroom.context
+    context = session.context
     if context.recall("teach"):
-        classroom.segmenter.load(classroom.heads)
+        session.segmenter.load(session.heads)
     else:
-        _teach_all(classroom, taught, settings)
-        classroom.segmenter.save(classroom.heads)
+        _teach_all(session, taught, settings)
+        session.segmenter.save(session.heads)
         context.remember("teach")
     with context.stage("look"):
-        looks = classroom.look(taught, unknown, Tabletop(frames=settings.looks), context.rng("look"))
-        wrong = [mistake for m in _all_mistakes(classroom.recognise(looks), looks) for mistake in m]
-    stranger = _most_mistaken(wrong, unknown)
-    if stranger is None:
-        context.note(f"no unknown object was taken for a taught one in {settings.looks} pictures: nothing to correct")
+        looks = session.look(taught, unknown, Tabletop(frames=settings.looks), context.rng("look"))
+        wrong = [mistake for m in _all_mistakes(session.recognize(looks), looks) for mistake in m]
+    distractor = _most_mistaken(wrong, unknown)
+    if distractor is None:
+        context.note(f"no unknown object was taken for a taught one in {settings.looks} images: nothing to correct")
         context.record({"showing.false_positives_before": 0})
         return
-    _correct(classroom, taught, unknown, stranger, settings)
-    classroom.segmenter.save(classroom.heads)
+    _correct(session, taught, unknown, distractor, settings)
+    session.segmenter.save(session.heads)
 
 
-def _teach_all(classroom: Classroom, taught: Sequence[ObjectSpec], settings: ShowingSettings) -> None:
-    context, rng = classroom.context, classroom.context.rng("teach")
-    lessons = []
+def _teach_all(session: TeachingSession, taught: Sequence[ObjectSpec], settings: ShowingSettings) -> None:
+    context, rng = session.context, session.context.rng("teach")
+    training_images = []
     for number, spec in enumerate(taught):
         with context.stage(f"teach {number + 1}"):
-            lessons.append(classroom.teach(spec, settings.frames, rng))
-    seeing.save_sheet(context, "Taught: masks from depth", "taught.png", [sample for _, sample, _ in lessons])
+            training_images.append(session.teach(spec, settings.frames, rng))
+    seeing.save_sheet(context, "Taught: masks from depth", "taught.png", [sample for _, sample, _ in training_images])
     context.record(
         {
             "showing.objects": len(taught),
-            "showing.teach_seconds": float(np.mean([seconds for _, _, seconds in lessons])),
-            "showing.update_seconds": max(report.seconds for report, _, _ in lessons),
+            "showing.teach_seconds": float(np.mean([seconds for _, _, seconds in training_images])),
+            "showing.update_seconds": max(report.seconds for report, _, _ in training_images),
         }
     )
 
 
 def _correct(
-    classroom: Classroom,
+    session: TeachingSession,
     taught: Sequence[ObjectSpec],
     unknown: Sequence[ObjectSpec],
-    stranger: ObjectSpec,
+    distractor: ObjectSpec,
     settings: ShowingSettings,
 ) -> None:
-    """Teach the mistaken object; measure before and after on pictures that had no part in choosing it."""
-    context = classroom.context
-    company = [spec for spec in unknown if spec.name != stranger.name][:COMPANY]
-    shown = [stranger, *company]
+    """Teach the mistaken object; measure before and after on images that had no part in choosing it."""
+    context = session.context
+    dependencies = [spec for spec in unknown if spec.name != distractor.name][:DEPENDENCIES]
+    shown = [distractor, *dependencies]
     with context.stage("before"):
-        everyone = Tabletop(frames=settings.looks, strangers=(len(shown), len(shown)))
-        looks = classroom.look(taught, shown, everyone, context.rng("measure"))
-        before = classroom.recognise(looks)
+        everyone = Tabletop(frames=settings.looks, distractors=(len(shown), len(shown)))
+        looks = session.look(taught, shown, everyone, context.rng("measure"))
+        before = session.recognize(looks)
     with context.stage("correct"):
-        report, sample, _ = classroom.teach(stranger, settings.frames, context.rng("correct"))
+        report, sample, _ = session.teach(distractor, settings.frames, context.rng("correct"))
     with context.stage("after"):
-        after = classroom.recognise(looks)
+        after = session.recognize(looks)
 
-    def of_stranger(found: Sequence[tuple[Instance, ...]]) -> list[list[Mistake]]:
-        return [[m for m in picture if m.shown == stranger.name] for picture in _all_mistakes(found, looks)]
+    def of_distractor(found: Sequence[tuple[Instance, ...]]) -> list[list[Mistake]]:
+        return [[m for m in picture if m.shown == distractor.name] for picture in _all_mistakes(found, looks)]
 
-    mistaken = of_stranger(before)
+    mistaken = of_distractor(before)
     earlier = [m for picture in mistaken for m in picture]
-    answers = [recognised(found, truth, stranger.name) for found, (_, truth) in zip(after, looks, strict=True)]
+    answers = [recognized(found, truth, distractor.name) for found, (_, truth) in zip(after, looks, strict=True)]
     visible = [answer for answer in answers if answer is not None]
     names = [spec.name for spec in taught]
 
@@ -142,11 +142,11 @@ def _correct(
 
     context.record(
         {
-            "showing.corrected": stranger.name,
+            "showing.corrected": distractor.name,
             "showing.taken_for": Counter(m.taken_for for m in earlier).most_common(1)[0][0] if earlier else "",
             "showing.looks_with_corrected": len(visible),
             "showing.false_positives_before": len(earlier),
-            "showing.false_positives_after": sum(map(len, of_stranger(after))),
+            "showing.false_positives_after": sum(map(len, of_distractor(after))),
             "showing.corrected_recall": float(np.mean(visible)) if visible else 0.0,
             "showing.correct_update_seconds": report.seconds,
             "showing.map50_segm_before": precision(before),
@@ -156,8 +156,8 @@ def _correct(
     chosen = sorted(range(len(looks)), key=lambda n: not mistaken[n])[: seeing.SHEET_COLUMNS]
     for caption, name, found in (("Before", "before.png", before), ("After", "after.png", after)):
         pictures = [draw_instances(looks[n][0].rgb, seeing.confident(found[n])) for n in chosen]
-        seeing.save_sheet(context, f"{caption} '{stranger.name}' was taught", name, pictures)
-    seeing.save_sheet(context, f"The correction: '{stranger.name}' is shown", "correction.png", [sample])
+        seeing.save_sheet(context, f"{caption} '{distractor.name}' was taught", name, pictures)
+    seeing.save_sheet(context, f"The correction: '{distractor.name}' is shown", "correction.png", [sample])
 
 
 def _of(names: Sequence[str], instances: Sequence[Instance]) -> tuple[Instance, ...]:

@@ -24,8 +24,8 @@ class Showing:
     """How an object is shown.
 
     Attributes:
-        frames: Pictures taken; a few are lost where masks disagree.
-        nearest, farthest: Distance to the camera, metres.
+        frames: Images taken; a few are lost where masks disagree.
+        nearest, farthest: Distance to the camera, meters.
         turn: Rotation between two frames, radians.
         width, height: Pixels.
     """
@@ -66,7 +66,7 @@ def show(
     """
     view = simulator.render(camera, showing.width, showing.height).frame.T_world_camera
     eye = view[:3, 3]
-    # straight ahead and a little down: there the hands rest outside the picture
+    # straight ahead and a little down: there the hands rest outside the image
     forward = view[:3, 2] * [1.0, 1.0, 0.0]
     forward /= np.linalg.norm(forward)
     side = np.array([-forward[1], forward[0], 0.0])
@@ -92,7 +92,7 @@ def show(
 
 
 def annotate(frames: Iterator[RgbdFrame], label: str) -> Iterator[tuple[RgbdFrame, Instance]]:
-    """Pass on the frames whose depth blob agrees with its neighbours', annotated with it as `label`."""
+    """Pass on the frames whose depth blob agrees with its neighbors', annotated with it as `label`."""
     masks = CoherentMasks()
     for frame in frames:
         confirmed = masks.push(frame, closest_blob(frame.depth))

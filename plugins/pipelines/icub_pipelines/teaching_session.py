@@ -13,18 +13,18 @@ from icub_core.data import Instance, RgbdFrame
 from icub_core.evaluation.overlap import mask_iou
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 from icub_core.interfaces.simulator import Simulator
+from icub_core.robot_description import RobotDescription
+from icub_core.scene import ObjectSpec
 from icub_pipelines import seeing
 from icub_pipelines.context import RunContext
 from icub_pipelines.images import Image
 from icub_pipelines.tabletop import Tabletop, tabletop_pictures
-from icub_core.robot_description import RobotDescription
-from icub_core.scene import ObjectSpec
 
 SAME_OBJECT_IOU = 0.5
 """A found mask that overlaps a true one by less is not about that object (the metric's lower threshold)."""
 
 Look = tuple[RgbdFrame, tuple[Instance, ...]]
-"""A picture and the true instances of everything in it."""
+"""A image and the true instances of everything in it."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Mistake:
 
 
 @dataclass
-class Classroom:
+class TeachingSession:
     """Who takes part: the simulator draws, the robot looks on, the segmenter learns."""
 
     context: RunContext
@@ -54,7 +54,7 @@ class Classroom:
         """Show one object and learn it at once.
 
         Returns:
-            The report of the update, a picture with the mask that was learned from, and seconds in all.
+            The report of the update, a image with the mask that was learned from, and seconds in all.
         """
         started = time.perf_counter()
         _, sample = seeing.teach_object(
@@ -67,30 +67,30 @@ class Classroom:
     def look(
         self, known: Sequence[ObjectSpec], unknown: Sequence[ObjectSpec], tabletop: Tabletop, rng: np.random.Generator
     ) -> list[Look]:
-        """Look at tables with known and unknown objects on them, in other rooms than the lessons'."""
+        """Look at tables with known and unknown objects on them, in other rooms than the training images'."""
         looks = []
         for number, picture in enumerate(tabletop_pictures(self.simulator, known, unknown, tabletop, rng)):
             looks.append(picture)
-            self.context.progress((number + 1) / tabletop.frames, f"{number + 1} of {tabletop.frames} pictures")
+            self.context.progress((number + 1) / tabletop.frames, f"{number + 1} of {tabletop.frames} images")
         return looks
 
-    def recognise(self, looks: Sequence[Look]) -> list[tuple[Instance, ...]]:
-        """Return what the segmenter finds in each picture, whatever its score."""
+    def recognize(self, looks: Sequence[Look]) -> list[tuple[Instance, ...]]:
+        """Return what the segmenter finds in each image, whatever its score."""
         found = []
         for number, (frame, _) in enumerate(looks):
             found.append(self.segmenter.segment(frame))
-            self.context.progress((number + 1) / len(looks), f"{number + 1} of {len(looks)} pictures recognised")
+            self.context.progress((number + 1) / len(looks), f"{number + 1} of {len(looks)} images recognized")
         return found
 
 
 def identities(found: Sequence[Instance], truth: Sequence[Instance]) -> list[tuple[Instance, str | None]]:
-    """Return what a user is shown of a picture, each with the name of the object that is truly there.
+    """Return what a user is shown of a image, each with the name of the object that is truly there.
 
     What is shown is the best instance of a class, where its score is above 0.
 
     Args:
         found: By the segmenter.
-        truth: Of all objects in the picture.
+        truth: Of all objects in the image.
 
     Returns:
         Instances and names; None where no single object is there.
@@ -104,7 +104,7 @@ def identities(found: Sequence[Instance], truth: Sequence[Instance]) -> list[tup
 
 
 def mistakes(found: Sequence[Instance], truth: Sequence[Instance]) -> list[Mistake]:
-    """Return the objects of a picture that were called by another's name; arguments as of `identities`."""
+    """Return the objects of a image that were called by another's name; arguments as of `identities`."""
     return [
         Mistake(name, instance.label, instance.score)
         for instance, name in identities(found, truth)
@@ -112,8 +112,8 @@ def mistakes(found: Sequence[Instance], truth: Sequence[Instance]) -> list[Mista
     ]
 
 
-def recognised(found: Sequence[Instance], truth: Sequence[Instance], name: str) -> bool | None:
-    """Whether a user would be shown object `name` where it is; None when it is not in the picture."""
+def recognized(found: Sequence[Instance], truth: Sequence[Instance], name: str) -> bool | None:
+    """Whether a user would be shown object `name` where it is; None when it is not in the image."""
     there = [instance.mask for instance in truth if instance.label == name]
     if not there:
         return None

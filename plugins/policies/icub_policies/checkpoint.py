@@ -60,18 +60,18 @@ def load_into(module: torch.nn.Module, tensors: dict[str, torch.Tensor], prefix:
     module.load_state_dict({name: tensors[prefix + name] for name in own})
 
 
-def adam_state(optimiser: torch.optim.Optimizer, prefix: str) -> dict[str, torch.Tensor]:
-    """Return an Adam optimiser's moments as tensors."""
-    state = optimiser.state_dict()["state"]
+def adam_state(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, torch.Tensor]:
+    """Return an Adam optimizer's moments as tensors."""
+    state = optimizer.state_dict()["state"]
     return {f"{prefix}{i}.{name}": value for i, entry in state.items() for name, value in entry.items()}
 
 
-def load_adam_state(optimiser: torch.optim.Optimizer, tensors: dict[str, torch.Tensor], prefix: str) -> None:
+def load_adam_state(optimizer: torch.optim.Optimizer, tensors: dict[str, torch.Tensor], prefix: str) -> None:
     """Take back what `adam_state` returned."""
-    state = optimiser.state_dict()
+    state = optimizer.state_dict()
     state["state"] = {}
     for key, value in tensors.items():
         if key.startswith(prefix):
             index, _, name = key.removeprefix(prefix).partition(".")
             state["state"].setdefault(int(index), {})[name] = value
-    optimiser.load_state_dict(state)
+    optimizer.load_state_dict(state)

@@ -6,6 +6,7 @@ import torch
 from tensordict import TensorDictBase
 
 from icub_core.errors import ConfigError
+from icub_core.interfaces.policy import Policy
 from icub_tasks.grasping.spaces import (
     ACTION_SIZE,
     FINGERS,
@@ -18,7 +19,6 @@ from icub_tasks.grasping.spaces import (
     PLAN_STEP,
     TRANSLATION_STEP,
 )
-from icub_core.interfaces.policy import Policy
 
 
 class Demonstrations(Policy):
@@ -26,7 +26,7 @@ class Demonstrations(Policy):
 
     Closing step k of K commands each finger to min(q + D / rate, open + D k / K), with D = close - open and q the
     measured length; during the lift the last of these offsets stays. The policy needs no memory: it reads plan and
-    step number from the privileged entry `plan`, so it is no rival of the learned policies but their teacher.
+    step number from the privileged entry `plan`, so it is no baseline of the learned policies but their teacher.
 
     DIFF to the thesis, each found by measurement on this robot (clean poses and poses with 15 mm / 0.2 rad errors):
     the finger lead is D/25 as in the released code (with D/250 the servos never overcome the finger joints' damping);
@@ -37,8 +37,8 @@ class Demonstrations(Policy):
     Args:
         closing_steps: K.
         rate: Largest finger lead is D / rate.
-        approach_step: Metres a step towards the grasp.
-        past: Metres that the approach goes on beyond the grasp pose.
+        approach_step: Meters a step towards the grasp.
+        past: Meters that the approach goes on beyond the grasp pose.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
 """What the networks see: the task's observation, re-expressed so that every entry is near the size of 1.
 
-Nothing is added to the observation of thesis 12.3.1; positions become relative (the object centre in the hand's frame),
+Nothing is added to the observation of thesis 12.3.1; positions become relative (the object center in the hand's frame),
 the Euler angles become the first two columns of the rotation (no jump at 2 pi), finger lengths are divided by their
 usual range. The thesis's networks take the raw entries.
 """
@@ -14,26 +14,26 @@ from icub_core.errors import ConfigError
 from icub_tasks.grasping.spaces import FINGERS, HAND_POSE, OBJECT_CENTER, TOUCH, VISUAL
 
 WORKSPACE_CENTER = (-0.35, 0.0, 1.0)
-"""Middle of the area in which objects stand, world, metres."""
+"""Middle of the area in which objects stand, world, meters."""
 LENGTH = 0.1
-"""Metres that become 1."""
+"""Meters that become 1."""
 FINGER_RANGES = (1.05, 1.57, 1.57, 2.97, 1.57, 2.97, 1.57, 2.97, 4.36)
 """Travel of the nine finger actuators, rad."""
 
 PROPRIOCEPTIVE_SIZE = 3 + 3 + 3 + 6 + len(FINGER_RANGES) + 5
 STACK = 5
-"""Vectors that `flare` makes of three pictures."""
+"""Vectors that `flare` makes of three images."""
 
 
 def visual_size(inputs: int) -> int:
-    """Return F, the features of one picture, of networks with so many inputs; 0 for those that see no picture."""
+    """Return F, the features of one image, of networks with so many inputs; 0 for those that see no image."""
     return (inputs - PROPRIOCEPTIVE_SIZE) // STACK
 
 
 def other_pictures(inputs: int, there: int) -> ConfigError:
     """Return the error for networks of so many inputs where the task offers `there`."""
     return ConfigError(
-        f"the policy sees pictures of {visual_size(inputs)} features, the task offers {visual_size(there)}; "
+        f"the policy sees images of {visual_size(inputs)} features, the task offers {visual_size(there)}; "
         "expected pipeline.grasp.visual and the feature extractor with which the policy learned"
     )
 
@@ -43,10 +43,10 @@ def features(observation: TensorDictBase, inputs: int | None = None) -> torch.Te
 
     Args:
         observation: Of the task.
-        inputs: What the network takes; a network that sees no picture gets none. None: everything there is.
+        inputs: What the network takes; a network that sees no image gets none. None: everything there is.
 
     Raises:
-        ConfigError: The network sees pictures and the observation has none, or others.
+        ConfigError: The network sees images and the observation has none, or others.
     """
     pictures = observation[VISUAL] if VISUAL in observation.keys() and inputs != PROPRIOCEPTIVE_SIZE else None
     there = PROPRIOCEPTIVE_SIZE + (0 if pictures is None else pictures.shape[1])

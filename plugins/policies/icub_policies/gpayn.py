@@ -9,8 +9,6 @@ import torch
 from tensordict import TensorDictBase
 
 from icub_core.errors import ConfigError
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.spaces import ACTION_SIZE
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
 from icub_policies.checkpoint import read_tensors, write_tensors
 from icub_policies.demonstrations import Demonstrations
@@ -18,6 +16,8 @@ from icub_policies.features import PROPRIOCEPTIVE_SIZE, features
 from icub_policies.sac import Sac, SacSettings
 from icub_policies.training import Trainer, TrainingSettings, demonstrate
 from icub_policies.visual import REPLAY_STEPS, for_weights, memory, seeing
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.spaces import ACTION_SIZE
 
 SHIPPED = ("base_gpayn",)
 DEMONSTRATION_STEPS = 300_000

@@ -9,7 +9,7 @@ from torch import nn
 from torch.nn import functional as F
 
 LOG_STD_MIN, LOG_STD_MAX = -2.3, -1.0
-"""The least noise keeps critics informed about the neighbourhood of what is done; without it the actor climbs into
+"""The least noise keeps critics informed about the neighborhood of what is done; without it the actor climbs into
 values that nothing supports. More than the most makes nearly every grasp fail."""
 LOG_2PI = math.log(2 * math.pi)
 
@@ -60,9 +60,9 @@ class Actor(nn.Module):
 
 
 class Critics(nn.Module):
-    """An ensemble of action values with layer normalisation, evaluated in one go.
+    """An ensemble of action values with layer normalization, evaluated in one go.
 
-    Layer normalisation bounds what the critics say about actions nobody took, which keeps learning from demonstrations
+    Layer normalization bounds what the critics say about actions nobody took, which keeps learning from demonstrations
     from diverging (Ball et al., "Efficient online reinforcement learning with offline data", ICML 2023).
 
     Args:

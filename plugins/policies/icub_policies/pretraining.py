@@ -14,19 +14,19 @@ import numpy as np
 from icub_core import registry
 from icub_core.evaluation.results import machine, versions
 from icub_core.files import write_text_atomically
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.plan import GraspPlan
-from icub_tasks.grasping.task import GraspTask, StartState
 from icub_core.interfaces.policy import Progress
 from icub_core.scene import Scene
 from icub_policies.gpayn import Gpayn
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.plan import GraspPlan
+from icub_tasks.grasping.task import GraspTask, StartState
 
 log = logging.getLogger(__name__)
 
 OBJECTS = 32
 """Random objects, one world each."""
 OBJECT_SIZE = [0.09, 0.2]
-"""Metres of their longest side, drawn in this range."""
+"""Meters of their longest side, drawn in this range."""
 STARTS = 10
 """Starts that a world keeps."""
 FIRST_STARTS = 3

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import torch
 
-from icub_tasks.grasping.visual import HISTORY, flare
 from icub_policies.features import STACK
+from icub_tasks.grasping.visual import HISTORY, flare
 
 RUNNING, TERMINAL, CUT = 0, 1, 2
 """How a stored step went on: normally; into a terminal state; or not to be learned from (a truncation or a fault), then
@@ -39,7 +39,7 @@ class Batch:
 class Replay:
     """Ring of the last rows of N worlds.
 
-    Of a visual part only the newest picture of a step is kept; the stack of three is made again when a step is drawn,
+    Of a visual part only the newest image of a step is kept; the stack of three is made again when a step is drawn,
     a fifth of the memory.
 
     Args:
@@ -47,7 +47,7 @@ class Replay:
         worlds: N.
         state, action: Sizes.
         base: Whether to keep the base policy's action beside the learned one.
-        visual: F when the last 5 F entries of a state are the stacked features of three pictures.
+        visual: F when the last 5 F entries of a state are the stacked features of three images.
     """
 
     def __init__(self, rows: int, worlds: int, state: int, action: int, base: bool = False, visual: int = 0) -> None:
@@ -82,14 +82,14 @@ class Replay:
         self.added += 1
 
     def ready(self, steps: int) -> bool:
-        """Say whether windows of `steps` steps can be drawn."""
+        """Return True if windows of `steps` steps can be drawn."""
         return self.added > steps + (HISTORY if self._visual else 0)
 
     def sample(self, count: int, steps: int, gamma: float, generator: torch.Generator) -> Batch:
         """Draw `count` windows of up to `steps` steps uniformly."""
         oldest = max(0, self.added - self._rows)
         if self._visual and oldest:
-            oldest += HISTORY - 1  # the pictures before these steps are overwritten
+            oldest += HISTORY - 1  # the images before these steps are overwritten
         starts = torch.randint(oldest, self.added - steps, (count,), generator=generator)
         worlds = torch.randint(self._worlds, (count,), generator=generator)
         return self.windows(starts, worlds, steps, gamma)

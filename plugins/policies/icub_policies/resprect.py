@@ -8,8 +8,6 @@ import torch
 from tensordict import TensorDictBase
 
 from icub_core.errors import CheckpointError
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.spaces import ACTION_SIZE
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
 from icub_policies.checkpoint import load_into, read_tensors, write_tensors
 from icub_policies.features import features
@@ -18,6 +16,8 @@ from icub_policies.networks import Actor
 from icub_policies.sac import Sac, SacSettings
 from icub_policies.training import Trainer, TrainingSettings
 from icub_policies.visual import REPLAY_STEPS, for_weights, memory, seeing
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.spaces import ACTION_SIZE
 
 ENTROPY_COEFFICIENT = 0.01
 """Where the coefficient starts, in units of the task's reward (thesis table 13.1)."""
@@ -101,7 +101,7 @@ class Resprect(Policy):
 
     def _base_action(self, state: torch.Tensor) -> torch.Tensor:
         with torch.no_grad():
-            # a base policy that never saw a picture is not shown one
+            # a base policy that never saw a image is not shown one
             return self.base.best(state[:, : self.base.layer1.in_features])
 
     def save(self, path: Path) -> None:

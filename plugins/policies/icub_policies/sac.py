@@ -1,7 +1,7 @@
 """Soft actor-critic, written for small networks on a CPU; its losses equal TorchRL's `SACLoss` (a test compares them).
 
 Differences from the thesis's SAC (Stable-Baselines3), each because short wall-clock budgets need it:
-layer-normalised critics, returns over n steps, demonstrations kept for ever at a fixed share of every batch, rewards
+layer-normalized critics, returns over n steps, demonstrations kept for ever at a fixed share of every batch, rewards
 scaled so that values stay near 10, a lower target entropy. Sources: Haarnoja et al. 2018; Ball et al. 2023.
 """
 
@@ -72,7 +72,7 @@ def _with_zero_rows(weight: torch.Tensor, position: int, count: int) -> torch.Te
 
 
 class Sac:
-    """Networks, optimisers and one update.
+    """Networks, optimizers and one update.
 
     With `residual` the action that critics judge is clip(base + learned, -1, 1) and the actor also sees the base's
     action; entropy is that of the learned part (thesis 13.3.2).
@@ -96,9 +96,9 @@ class Sac:
         self.settings, self.residual, self._actions = settings, residual, actions
         self.states, self.seed = states, seed
         rate, critic_rate = settings.learning_rate, settings.critic_learning_rate
-        self.actor_optimiser = torch.optim.Adam(self.actor.parameters(), lr=rate, fused=True)
-        self.critic_optimiser = torch.optim.Adam(self.critics.parameters(), lr=critic_rate, fused=True)
-        self.alpha_optimiser = torch.optim.Adam([self.log_alpha], lr=rate)
+        self.actor_optimizer = torch.optim.Adam(self.actor.parameters(), lr=rate, fused=True)
+        self.critic_optimizer = torch.optim.Adam(self.critics.parameters(), lr=critic_rate, fused=True)
+        self.alpha_optimizer = torch.optim.Adam([self.log_alpha], lr=rate)
         self.updates = 0
 
     def widened(self, states: int, path: Path) -> Sac:
@@ -154,9 +154,9 @@ class Sac:
 
     def imitate(self, batch: Batch) -> None:
         """Do one step of the actor towards demonstrated actions alone."""
-        self.actor_optimiser.zero_grad(set_to_none=True)
+        self.actor_optimizer.zero_grad(set_to_none=True)
         self.imitation_loss(batch.state, batch.action).backward()
-        self.actor_optimiser.step()
+        self.actor_optimizer.step()
 
     def update(self, batch: Batch, shown: int = 0, imitation: float = 0.0, actor: bool = True) -> None:
         """Do one step of the critics and, every few, one of actor and entropy coefficient.
@@ -167,16 +167,16 @@ class Sac:
             imitation: Weight of that, relative to the size of the values.
             actor: Whether the actor may learn at all.
         """
-        self.critic_optimiser.zero_grad(set_to_none=True)
+        self.critic_optimizer.zero_grad(set_to_none=True)
         self.critic_loss(batch, self.noise(len(batch.reward))).backward()
-        self.critic_optimiser.step()
+        self.critic_optimizer.step()
         with torch.no_grad():
             torch._foreach_lerp_(list(self.targets.parameters()), list(self.critics.parameters()), self.settings.tau)
         self.updates += 1
         if not actor or self.updates % self.settings.actor_every:
             return
         self.critics.requires_grad_(False)
-        self.actor_optimiser.zero_grad(set_to_none=True)
+        self.actor_optimizer.zero_grad(set_to_none=True)
         loss, log_prob = self.actor_loss(batch, self.noise(len(batch.reward)))
         size = loss.detach().abs().clamp_min(1.0)
         if shown and imitation:
@@ -185,11 +185,11 @@ class Sac:
             residual = self.actor.best(self.actor_input(batch.state, batch.base))
             loss = loss + self.settings.caution * size * residual.square().sum(1).mean()
         loss.backward()
-        self.actor_optimiser.step()
+        self.actor_optimizer.step()
         self.critics.requires_grad_(True)
-        self.alpha_optimiser.zero_grad(set_to_none=True)
+        self.alpha_optimizer.zero_grad(set_to_none=True)
         self.alpha_loss(log_prob).backward()
-        self.alpha_optimiser.step()
+        self.alpha_optimizer.step()
 
     def weights(self) -> dict[str, torch.Tensor]:
         """Return the weights of actor, critics and target critics."""
@@ -210,9 +210,9 @@ class Sac:
         """Return everything that decides later updates."""
         return {
             **self.weights(),
-            **adam_state(self.actor_optimiser, "adam.actor."),
-            **adam_state(self.critic_optimiser, "adam.critics."),
-            **adam_state(self.alpha_optimiser, "adam.alpha."),
+            **adam_state(self.actor_optimizer, "adam.actor."),
+            **adam_state(self.critic_optimizer, "adam.critics."),
+            **adam_state(self.alpha_optimizer, "adam.alpha."),
             "log_alpha": self.log_alpha.detach(),
             "generator": self.generator.get_state(),
             "updates": torch.tensor(self.updates),
@@ -221,9 +221,9 @@ class Sac:
     def restore(self, tensors: dict[str, torch.Tensor], path: Path) -> None:
         """Take back what `state` returned."""
         self.load_weights(tensors, path)
-        load_adam_state(self.actor_optimiser, tensors, "adam.actor.")
-        load_adam_state(self.critic_optimiser, tensors, "adam.critics.")
-        load_adam_state(self.alpha_optimiser, tensors, "adam.alpha.")
+        load_adam_state(self.actor_optimizer, tensors, "adam.actor.")
+        load_adam_state(self.critic_optimizer, tensors, "adam.critics.")
+        load_adam_state(self.alpha_optimizer, tensors, "adam.alpha.")
         with torch.no_grad():
             self.log_alpha.copy_(tensors["log_alpha"])
         self.generator.set_state(tensors["generator"])

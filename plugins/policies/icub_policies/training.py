@@ -15,15 +15,15 @@ import torch
 from tensordict import TensorDictBase
 
 from icub_core.errors import CheckpointError
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.evaluation import run_episodes
-from icub_tasks.grasping.pool import StartPool
-from icub_tasks.grasping.task import StartState
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
 from icub_policies.checkpoint import read_tensors, write_tensors
 from icub_policies.features import features
 from icub_policies.replay import CUT, RUNNING, TERMINAL, Batch, Replay, concatenate
 from icub_policies.sac import Sac
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.evaluation import run_episodes
+from icub_tasks.grasping.pool import StartPool
+from icub_tasks.grasping.task import StartState
 
 log = logging.getLogger(__name__)
 
@@ -181,7 +181,7 @@ class Trainer:
         )
 
     def _fault_share(self) -> dict[str, float]:
-        ends = self._env.batch.firewall.report()
+        ends = self._env.batch.fault_filter.report()
         ordinary = sum(ends.get(name, 0) for name in ("success", "moved", "time_limit"))
         return {"faults": float(sum(ends.values()) - ordinary)}
 
@@ -252,7 +252,7 @@ class Trainer:
         if self._demonstrations is None:
             return
         size = self._sac.settings.batch
-        with learning_rate(self._sac.actor_optimiser, IMITATION_LEARNING_RATE):
+        with learning_rate(self._sac.actor_optimizer, IMITATION_LEARNING_RATE):
             for done in range(settings.imitation_updates):
                 self._sac.imitate(self._batch(size))
                 if done % 100 == 0:
@@ -275,7 +275,7 @@ class Trainer:
         count = self._count
         count.next_evaluation = count.env_steps + self._settings.evaluate_every
         arrays, texts = self._env.save()
-        ends = self._env.batch.firewall.ends.copy()
+        ends = self._env.batch.fault_filter.ends.copy()
         worlds = len(self._env.batch)
         results = run_episodes(
             self._policy,
@@ -284,7 +284,7 @@ class Trainer:
             lambda world, episode: self._evaluation_starts[world][episode // worlds],
         )
         self._env.restore(arrays, texts)
-        self._env.batch.firewall.ends = ends
+        self._env.batch.fault_filter.ends = ends
         score, mean_return = results.success_rate, float(results.returns.mean())
         log.info(
             "%d env steps, %d updates, %.0f s: evaluated %.3f (return %.1f, %.0f steps, %s), exploring %.3f, "
@@ -358,15 +358,15 @@ class Trainer:
 
 
 @contextlib.contextmanager
-def learning_rate(optimiser: torch.optim.Optimizer, rate: float) -> Iterator[None]:
+def learning_rate(optimizer: torch.optim.Optimizer, rate: float) -> Iterator[None]:
     """Use another learning rate for a while."""
-    before = [group["lr"] for group in optimiser.param_groups]
-    for group in optimiser.param_groups:
+    before = [group["lr"] for group in optimizer.param_groups]
+    for group in optimizer.param_groups:
         group["lr"] = rate
     try:
         yield
     finally:
-        for group, old in zip(optimiser.param_groups, before, strict=True):
+        for group, old in zip(optimizer.param_groups, before, strict=True):
             group["lr"] = old
 
 

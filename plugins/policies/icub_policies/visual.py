@@ -1,4 +1,4 @@
-"""Policies that see: learners with inputs for the task's pictures, and memories that can hold them."""
+"""Policies that see: learners with inputs for the task's images, and memories that can hold them."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from pathlib import Path
 import torch
 
 from icub_core.errors import CheckpointError
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.spaces import ACTION_SIZE, VISUAL
 from icub_policies.features import PROPRIOCEPTIVE_SIZE, STACK, other_pictures, visual_size
 from icub_policies.replay import Replay
 from icub_policies.sac import Sac
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.spaces import ACTION_SIZE, VISUAL
 
 REPLAY_STEPS = 1_000_000
 """Control steps of all worlds together that are kept (thesis)."""
 REPLAY_BYTES = 2_000_000_000
-"""With pictures fewer are kept, so that a laptop can hold them."""
+"""With images fewer are kept, so that a laptop can hold them."""
 
 
 def offered(env: GraspEnv) -> int:
@@ -29,7 +29,7 @@ def seeing(sac: Sac, env: GraspEnv) -> Sac:
     """Return a learner for what `env` offers, computing the same as `sac`.
 
     Raises:
-        ConfigError: The learner sees pictures that `env` does not offer.
+        ConfigError: The learner sees images that `env` does not offer.
     """
     states = offered(env)
     if sac.states == states:

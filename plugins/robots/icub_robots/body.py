@@ -66,7 +66,7 @@ HOME = {
 }
 
 FOREARM_RADIUS = 0.032
-FOREARM_SEGMENT = (0.003, 0.082)  # along the axis of the wrist's pronation, metres from the forearm's origin
+FOREARM_SEGMENT = (0.003, 0.082)  # along the axis of the wrist's pronation, meters from the forearm's origin
 
 
 def arm(side: str) -> tuple[str, ...]:
@@ -88,7 +88,7 @@ def _camera(name: str, link: str, position: Vec3, mujoco_quat_wxyz: QuatWxyz, fo
 
 CAMERAS = (
     _camera(
-        "head_cam",  # field of view of the RealSense D415's colour camera
+        "head_cam",  # field of view of the RealSense D415's color camera
         "head",
         (0.043454, 0.217822, 0.0835957),
         (-0.0233008, 0.0078341, 0.9825643, 0.1842908),

@@ -94,7 +94,7 @@ class CollisionChecker:
                     self._names.append((first, second))
 
     def collisions(self, q: FloatArray, table: Table | None = None, margin: float = 0.0) -> tuple[tuple[str, str], ...]:
-        """Return the pairs of links (or link and ``"table"``) that are closer than `margin` metres at `q` (n,)."""
+        """Return the pairs of links (or link and ``"table"``) that are closer than `margin` meters at `q` (n,)."""
         self._place_table(table)
         if margin != self._margin:
             for request in self._data.collisionRequests:

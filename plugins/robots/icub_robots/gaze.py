@@ -41,7 +41,7 @@ class Gaze:
         if camera not in self._cameras:
             raise ConfigError(unknown_name("camera", camera, self._cameras))
         if np.shape(point) != (3,) or not np.isfinite(point).all():
-            raise DataError(f"the point to look at is {point}; expected 3 finite coordinates, metres")
+            raise DataError(f"the point to look at is {point}; expected 3 finite coordinates, meters")
         view = self._cameras[camera]
         if not set(self._model.description.groups["neck"]) & set(self._model.support(view.link)):
             raise ConfigError(f"camera '{camera}' does not move with the neck")

@@ -18,7 +18,7 @@ FINGERS = ("thumb", "index", "middle", "ring", "little")
 
 @dataclass(frozen=True)
 class PalmBox:
-    """A slab of the palm in the hand link's frame, metres."""
+    """A slab of the palm in the hand link's frame, meters."""
 
     position: Vec3
     quat_wxyz: QuatWxyz
@@ -27,7 +27,7 @@ class PalmBox:
 
 @dataclass(frozen=True)
 class Phalanx:
-    """A finger link, the joint `<name>_joint` before it, and its capsule in the link's frame (metres, radians)."""
+    """A finger link, the joint `<name>_joint` before it, and its capsule in the link's frame (meters, radians)."""
 
     name: str
     parent: str

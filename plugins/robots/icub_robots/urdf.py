@@ -180,7 +180,7 @@ def _add_joint(
 def _add_capsule(
     link: ET.Element, start: NDArray[np.float64], end: NDArray[np.float64], radius: float, visible: bool
 ) -> None:
-    """Add a capsule between two sphere centres, written as the cylinder between them."""
+    """Add a capsule between two sphere centers, written as the cylinder between them."""
     along = end - start
     length = float(np.linalg.norm(along))
     rpy = np.array([0.0, np.arctan2(np.hypot(along[0], along[1]), along[2]), np.arctan2(along[1], along[0])])

@@ -6,7 +6,7 @@ import math
 
 import torch
 
-LARGEST_LOG_GROWTH = math.log(1000.0 / 16.0)
+MAX_LOG_GROWTH = math.log(1000.0 / 16.0)
 """Refinement may not grow a side by more: the released detector has no such guard and its exponential can overflow."""
 
 
@@ -40,7 +40,7 @@ def decode(boxes: torch.Tensor, deltas: torch.Tensor, image_size: tuple[int, int
     """Apply refinements (N, 4) to boxes (N, 4) and clip to an image of (height, width)."""
     size = _size(boxes)
     center = (boxes[:, :2] + boxes[:, 2:]) / 2 + deltas[:, :2] * size
-    half = size * deltas[:, 2:].clamp(max=LARGEST_LOG_GROWTH).exp() / 2
+    half = size * deltas[:, 2:].clamp(max=MAX_LOG_GROWTH).exp() / 2
     return clip(torch.cat([center - half, center + half], dim=1), image_size)
 
 

@@ -1,7 +1,7 @@
-"""Pasting taught objects into pictures of clutter, so that a showing against one wall teaches more than that wall.
+"""Pasting taught objects into images of clutter, so that a showing against one wall teaches more than that wall.
 
-Held in front of one background under one lamp, an object is learnt together with both, and nothing shows what it is
-not. Here its pixels are put, turned, resized and re-lit, into pictures of other things: more backgrounds for its
+Held in front of one background under one lamp, an object is learned together with both, and nothing shows what it is
+not. Here its pixels are put, turned, resized and re-lit, into images of other things: more backgrounds for its
 positives, and the clutter's regions become negatives.
 """
 
@@ -18,12 +18,12 @@ from icub_core.errors import DataError
 
 DEFAULT_FOLDER = Path(__file__).with_name("assets") / "clutter"
 LOOK_ALIKES = 0.6
-"""Share of the strangers that take on the taught object's colours: colour alone must not decide."""
+"""Share of the distractors that take on the taught object's colors: color alone must not decide."""
 REMEMBERED = 12
 """Cut-outs kept of each taught object, to be pasted beside others."""
-SIDE_SHARES, STRANGERS_SIDE_SHARES = (0.12, 0.75), (0.1, 0.4)
-"""Longest side of a pasted cut-out over the picture's height."""
-SMALLEST_SIDE = 14
+SIDE_SHARES, DISTRACTORS_SIDE_SHARES = (0.12, 0.75), (0.1, 0.4)
+"""Longest side of a pasted cut-out over the image's height."""
+MIN_SIDE = 14
 """A cut-out is not shrunk below this many pixels."""
 VISIBLE_SHARE = 0.5
 """An instance of which less shows than this is no example any more."""
@@ -31,7 +31,7 @@ VISIBLE_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Cutout:
-    """An object's pixels without its surroundings: rgb (h, w, 3) uint8, mask (h, w) bool; a stranger's label is ""."""
+    """An object's pixels without its surroundings: rgb (h, w, 3) uint8, mask (h, w) bool; a distractor's label is ""."""
 
     label: str
     rgb: NDArray[np.uint8]
@@ -47,17 +47,17 @@ class Cutout:
 
 @dataclass(frozen=True, eq=False)
 class Composite:
-    """A made picture.
+    """A made image.
 
     Attributes:
         rgb: (H, W, 3) uint8.
         instances: What of the taught objects is visible, (label, (H, W) bool) each.
-        strangers: What of other objects is visible, (H, W) bool each: the negatives that matter.
+        distractors: What of other objects is visible, (H, W) bool each: the negatives that matter.
     """
 
     rgb: NDArray[np.uint8]
     instances: tuple[tuple[str, NDArray[np.bool_]], ...]
-    strangers: tuple[NDArray[np.bool_], ...] = ()
+    distractors: tuple[NDArray[np.bool_], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,31 +69,31 @@ class ClutterPicture:
 
 
 class Compositor:
-    """Makes pictures of a taught object, and at times of others taught before, among clutter."""
+    """Makes images of a taught object, and at times of others taught before, among clutter."""
 
     def __init__(self, pictures: list[ClutterPicture]) -> None:
-        """Take pictures in which nothing that will be taught occurs; their objects are pasted, too."""
+        """Take images in which nothing that will be taught occurs; their objects are pasted, too."""
         if not pictures:
-            raise DataError("there are no clutter pictures; expected at least one")
+            raise DataError("there are no clutter images; expected at least one")
         self.pictures = pictures
-        self.strangers = [
+        self.distractors = [
             Cutout.of("", picture.rgb, picture.objects == number)
             for picture in pictures
             for number in np.unique(picture.objects[picture.objects > 0])
-            if np.count_nonzero(picture.objects == number) >= SMALLEST_SIDE**2
+            if np.count_nonzero(picture.objects == number) >= MIN_SIDE**2
         ]
         self.remembered: dict[str, list[Cutout]] = {}
 
     @classmethod
     def from_folder(cls, folder: Path | None = None) -> Compositor:
-        """Read the JPEG pictures of a folder; None takes those that come with the package.
+        """Read the JPEG images of a folder; None takes those that come with the package.
 
-        A PNG of the same name holds the objects in a picture: 0 for none, else the object's number.
+        A PNG of the same name holds the objects in a image: 0 for none, else the object's number.
         """
         folder = DEFAULT_FOLDER if folder is None else Path(folder)
         files = sorted(p for p in folder.glob("*") if p.suffix.lower() in (".jpg", ".jpeg"))
         if not files:
-            raise DataError(f"no JPEG picture in {folder}; expected pictures of clutter")
+            raise DataError(f"no JPEG image in {folder}; expected images of clutter")
         pictures = []
         for file in files:
             rgb = np.ascontiguousarray(_read(file, cv2.IMREAD_COLOR)[:, :, ::-1])
@@ -101,12 +101,12 @@ class Compositor:
             if numbers.exists():
                 objects = _read(numbers, cv2.IMREAD_GRAYSCALE)
                 if objects.shape != rgb.shape[:2]:
-                    raise DataError(f"{numbers} is {objects.shape}; expected the picture's {rgb.shape[:2]}")
+                    raise DataError(f"{numbers} is {objects.shape}; expected the image's {rgb.shape[:2]}")
             pictures.append(ClutterPicture(rgb, objects))
         return cls(pictures)
 
     def remember(self, cutout: Cutout, rng: np.random.Generator) -> None:
-        """Keep a cut-out for later pictures; of each label a few are kept at random."""
+        """Keep a cut-out for later images; of each label a few are kept at random."""
         known = self.remembered.setdefault(cutout.label, [])
         if len(known) < REMEMBERED:
             known.append(cutout)
@@ -114,7 +114,7 @@ class Compositor:
             known[int(rng.integers(REMEMBERED))] = cutout
 
     def compose(self, cutout: Cutout, size: tuple[int, int], rng: np.random.Generator) -> Composite:
-        """Paste `cutout`, up to two other remembered objects and some strangers into a picture of (height, width)."""
+        """Paste `cutout`, up to two other remembered objects and some distractors into a image of (height, width)."""
         height, width = size
         picture = self.pictures[int(rng.integers(len(self.pictures)))]
         background = cv2.resize(picture.rgb, (width, height)).astype(np.uint8)
@@ -131,7 +131,7 @@ class Compositor:
         visible = [
             (label, mask)
             for (label, mask), area in zip(layers, areas, strict=True)
-            if mask.sum() >= max(VISIBLE_SHARE * area, SMALLEST_SIDE**2 / 2)
+            if mask.sum() >= max(VISIBLE_SHARE * area, MIN_SIDE**2 / 2)
         ]
         return Composite(
             canvas,
@@ -145,43 +145,43 @@ class Compositor:
         others = [label for label in self.remembered if label != cutout.label]
         for label in rng.permutation(others)[: int(rng.integers(0, 3))]:
             drawn.append(self.remembered[label][int(rng.integers(len(self.remembered[label])))])
-        if self.strangers:
-            for i in rng.integers(0, len(self.strangers), int(rng.integers(1, 5))):
-                stranger = self.strangers[i]
-                drawn.append(in_colours_of(cutout, stranger, rng) if rng.random() < LOOK_ALIKES else stranger)
+        if self.distractors:
+            for i in rng.integers(0, len(self.distractors), int(rng.integers(1, 5))):
+                distractor = self.distractors[i]
+                drawn.append(in_colors_of(cutout, distractor, rng) if rng.random() < LOOK_ALIKES else distractor)
         return [drawn[i] for i in rng.permutation(len(drawn))]
 
 
 def _read(file: Path, flags: int) -> NDArray[np.uint8]:
     picture = cv2.imread(str(file), flags)
     if picture is None:
-        raise DataError(f"{file} cannot be read as a picture")
+        raise DataError(f"{file} cannot be read as a image")
     return picture.astype(np.uint8)
 
 
 def relit(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Change brightness, contrast and tint of a picture at random."""
+    """Change brightness, contrast and tint of a image at random."""
     gain = rng.uniform(0.6, 1.35) * rng.normal(1.0, 0.05, 3)
     shift = rng.uniform(-12, 12)
     return np.clip(rgb.astype(np.float32) * gain + shift, 0, 255).astype(np.uint8)
 
 
-def in_colours_of(model: Cutout, stranger: Cutout, rng: np.random.Generator) -> Cutout:
-    """Repaint a stranger: its dark and bright parts take colours of two random pixels of the model."""
+def in_colors_of(model: Cutout, distractor: Cutout, rng: np.random.Generator) -> Cutout:
+    """Repaint a distractor: its dark and bright parts take colors of two random pixels of the model."""
     palette = model.rgb[model.mask]
     dark, bright = palette[rng.integers(0, len(palette), 2)].astype(np.float32)
-    grey = stranger.rgb.astype(np.float32).mean(axis=2)
-    low, high = np.percentile(grey[stranger.mask], [5, 95])
-    share = np.clip((grey - low) / max(high - low, 1.0), 0, 1)[:, :, None]
-    if rng.random() < 0.5:  # one colour, with the stranger's own light and shade
+    gray = distractor.rgb.astype(np.float32).mean(axis=2)
+    low, high = np.percentile(gray[distractor.mask], [5, 95])
+    share = np.clip((gray - low) / max(high - low, 1.0), 0, 1)[:, :, None]
+    if rng.random() < 0.5:  # one color, with the distractor's own light and shade
         painted = bright * (0.6 + 0.6 * share)
     else:
         painted = dark + (bright - dark) * share
-    return Cutout(stranger.label, np.clip(painted, 0, 255).astype(np.uint8), stranger.mask)
+    return Cutout(distractor.label, np.clip(painted, 0, 255).astype(np.uint8), distractor.mask)
 
 
 def shaded(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Darken a picture towards one side, as a lamp on the other side would."""
+    """Darken a image towards one side, as a lamp on the other side would."""
     height, width = rgb.shape[:2]
     angle, strength = rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.5)
     x, y = np.linspace(-1, 1, width), np.linspace(-1, 1, height)[:, None]
@@ -190,9 +190,9 @@ def shaded(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8
 
 
 def transformed(cutout: Cutout, size: tuple[int, int], rng: np.random.Generator) -> Cutout:
-    """Turn, resize, mirror no side, and re-light a cut-out for a picture of (height, width)."""
+    """Turn, resize, mirror no side, and re-light a cut-out for a image of (height, width)."""
     h, w = cutout.mask.shape
-    longest = max(rng.uniform(*(SIDE_SHARES if cutout.label else STRANGERS_SIDE_SHARES)) * size[0], SMALLEST_SIDE)
+    longest = max(rng.uniform(*(SIDE_SHARES if cutout.label else DISTRACTORS_SIDE_SHARES)) * size[0], MIN_SIDE)
     scale = longest / max(h, w)
     flags = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     w, h = max(round(scale * w), 2), max(round(scale * h), 2)

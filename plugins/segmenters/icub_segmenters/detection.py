@@ -19,20 +19,20 @@ from icub_segmenters.region_store import RegionStore
 from icub_segmenters.sampling import class_negatives, later_negatives, sample_per_group, shared_negatives
 
 NMS_IOU = 0.3
-MOST_OF_A_CLASS = 20
+MAX_OF_A_CLASS = 20
 """The thesis keeps 100 of all classes together: there a class that comes later crowds out the others' last ones."""
 NEVER = -2.0
-"""Score of a class that cannot be recognised: below what any trained head gives to background."""
+"""Score of a class that cannot be recognized: below what any trained head gives to background."""
 BOX_PENALTY = 10.0
 """lambda of the box regressors on features of norm 20."""
 VOTE_IOU = 0.6
 """Candidates of the same class that overlap a detection by more have a say in where it is."""
 VOTE_SHARPNESS = 4.0
 """A vote weighs exp of this times its score."""
-LEAST_POSITIVES = 200
+MIN_POSITIVES = 200
 """With all classes on one pool positives number at most as many as the negatives' budget, but a class has so many. Half
 as many cost 1.6 points of mAP50 with 21 classes."""
-MOST_REGRESSED = 200
+MAX_REGRESSED = 200
 """Positives of a class that its box regressor learns from at most, evenly over time: more were measured to add
 nothing, and made half of the training time."""
 TIGHT_IOU = 0.75
@@ -79,8 +79,8 @@ class BoxRegressors:
         heads = {c: head for c, head in self.heads.items() if c < first}
         for c in label[good].unique().tolist():
             of_class = torch.nonzero(good & (label == c)).flatten()
-            if len(of_class) > MOST_REGRESSED:
-                of_class = of_class[torch.linspace(0, len(of_class) - 1, MOST_REGRESSED).long()]
+            if len(of_class) > MAX_REGRESSED:
+                of_class = of_class[torch.linspace(0, len(of_class) - 1, MAX_REGRESSED).long()]
             head = Rls(lam=BOX_PENALTY)
             head.fit(X[positives[of_class]], encode(boxes[of_class], targets[of_class]))
             heads[c] = head
@@ -136,7 +136,7 @@ class OnlineDetector:
         """Train all classes anew on what the store holds.
 
         Args:
-            store: Regions, labelled 0 to classes - 1.
+            store: Regions, labeled 0 to classes - 1.
             classes: Number of classes; those without a positive are never found.
             generator: Decides which negatives are seen.
         """
@@ -168,7 +168,7 @@ class OnlineDetector:
         The scale of features and the old classes' box regressors stay as they are.
 
         Args:
-            store: Regions, labelled 0 to classes - 1.
+            store: Regions, labeled 0 to classes - 1.
             classes: Number of classes, new ones included.
             generator: Decides which negatives are seen.
         """
@@ -199,14 +199,14 @@ class OnlineDetector:
         So many classes or long showings do not outgrow the negatives.
         """
         rows = torch.nonzero(store.label >= first).flatten()
-        most = max(LEAST_POSITIVES, self.procedure.budget // (classes - first))
+        most = max(MIN_POSITIVES, self.procedure.budget // (classes - first))
         rows = sample_per_group(rows, store.label[rows], most, generator)
         label = torch.full_like(store.label, -1)
         label[rows] = store.label[rows]
         return label
 
     def scores(self, X: torch.Tensor) -> torch.Tensor:
-        """Return scores (n, classes) of normalised features X (n, d)."""
+        """Return scores (n, classes) of normalized features X (n, d)."""
         scores = X.new_full((len(X), self.number_of_classes), NEVER)
         for c, head in self.heads.items():
             values = head.decision_function(X)
@@ -286,7 +286,7 @@ def suppressed(found: Detections) -> Detections:
     kept = batched_nms(found.boxes, found.scores, found.labels, NMS_IOU)
     labels = found.labels[kept]
     better = (labels[:, None] == labels).tril(-1).sum(dim=1)  # of the same class, before each
-    return found.take(kept[better < MOST_OF_A_CLASS])
+    return found.take(kept[better < MAX_OF_A_CLASS])
 
 
 def voted(kept: Detections, candidates: Detections) -> Detections:

@@ -18,7 +18,7 @@ from icub_segmenters.online_rpn import NO_CLASSIFIER, OnlineRpn, Rows
 from icub_segmenters.sampling import quota_per_image, sample, sample_per_group
 
 POSITIVE_IOU, REGRESSED_IOU, NEGATIVE_IOU = 0.7, 0.6, 0.3
-MOST_AN_IMAGE = 200
+MAX_AN_IMAGE = 200
 """Negatives of an anchor type that one image contributes at most, however few images there are."""
 
 
@@ -79,10 +79,10 @@ def best_of_missed(highest: torch.Tensor, best: torch.Tensor, count: int) -> tor
 
 
 class FaithfulRpn(OnlineRpn):
-    """One classifier an anchor type, each with its own samples, centres and Minibootstrap."""
+    """One classifier an anchor type, each with its own samples, centers and Minibootstrap."""
 
     TABLES = ("positives", "negatives", "regressed")
-    box_penalty = 0.01  # the thesis's value for normalised features
+    box_penalty = 0.01  # the thesis's value for normalized features
 
     def _keep(self, cells: RpnCells, truth: torch.Tensor, size: tuple[int, int], generator: torch.Generator) -> None:
         types = cells.types.flatten()
@@ -90,7 +90,7 @@ class FaithfulRpn(OnlineRpn):
         self.tables["positives"].append(self._rows(cells, labels.positive))
         self._keep_regressed(cells, labels.regressed, labels.truth)
         most = quota_per_image(self.procedure.budget, self.images + 1)
-        drawn = sample_per_group(labels.negative, types[labels.negative], min(most, MOST_AN_IMAGE), generator)
+        drawn = sample_per_group(labels.negative, types[labels.negative], min(most, MAX_AN_IMAGE), generator)
         self.tables["negatives"].append(self._rows(cells, drawn))
         kept = sum(len(rows) for rows in self.tables["negatives"])
         if kept > 1.5 * self.procedure.budget * max(int(types.max()) + 1, 1):

@@ -78,7 +78,7 @@ def add_together(
 ) -> Addition:
     """Train `count` more classes, the first of them `number`, on one pool, as `Minibootstrap.train_shared`.
 
-    For one class this is Algorithm 1 with centres that stay, so that every kernel row is computed once: a third of the
+    For one class this is Algorithm 1 with centers that stay, so that every kernel row is computed once: a third of the
     time. Other arguments as for `add_class`; `negatives` are away from all the new classes.
     """
     fresh = torch.where(label >= number, label - number, -1)

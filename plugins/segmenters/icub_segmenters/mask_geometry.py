@@ -9,7 +9,7 @@ from torch.nn import functional
 
 
 def crop_masks(masks: torch.Tensor, boxes: torch.Tensor, side: int) -> torch.Tensor:
-    """Sample masks (n, H, W) at the cell centres of a side x side grid on each box (n, 4): (n, side, side) in 0..1."""
+    """Sample masks (n, H, W) at the cell centers of a side x side grid on each box (n, 4): (n, side, side) in 0..1."""
     n, height, width = masks.shape
     steps = (torch.arange(side, dtype=torch.float32) + 0.5) / side
     x = boxes[:, None, 0] + steps * (boxes[:, None, 2] - boxes[:, None, 0])  # (n, side)
@@ -24,7 +24,7 @@ def crop_masks(masks: torch.Tensor, boxes: torch.Tensor, side: int) -> torch.Ten
 def paste_masks(values: torch.Tensor, boxes: torch.Tensor, image_size: tuple[int, int]) -> torch.Tensor:
     """Draw grids of values (n, s, s) into their boxes (n, 4): (n, H, W) bool, true above 0.5.
 
-    Every pixel whose centre lies in the box is interpolated bilinearly between cell centres. Boxes are not rounded, so
+    Every pixel whose center lies in the box is interpolated bilinearly between cell centers. Boxes are not rounded, so
     masks do not wander by half a pixel as with the integer boxes of the released code.
     """
     height, width = image_size

@@ -19,13 +19,13 @@ from icub_segmenters.sampling import sample
 
 SAMPLING_FACTOR = 0.3
 """Share of a region's pixels that are kept, of the object's and of the others alike (the thesis's r)."""
-MOST_PIXELS = 8_000
+MAX_PIXELS = 8_000
 """Pixels a class is trained on at most, half of them the object's; more add time but no accuracy."""
 GRID = 14
 """Cells a side in which pixels are classified, the thesis's s; a finer grid of the extractor is averaged down to it.
 A quarter of the work a frame; what the extractor's own masks show in finer detail is kept where both are combined."""
-MOST_CENTERS = 200
-"""Pixels of 64 features need fewer centres than regions: 1000 were measured to be no better, and much slower."""
+MAX_CENTERS = 200
+"""Pixels of 64 features need fewer centers than regions: 1000 were measured to be no better, and much slower."""
 
 
 @runtime_checkable
@@ -75,8 +75,8 @@ class OnlineMasks:
                 rows = torch.nonzero(chosen.flatten()).flatten()
                 rows = sample(rows, int(SAMPLING_FACTOR * len(rows)), generator)
                 kind.append(pixels.flatten(0, 1)[rows])
-                if sum(map(len, kind)) > 2 * MOST_PIXELS:  # memory stays bounded however long the showing
-                    kind[:] = [_thinned(kind, MOST_PIXELS, generator)]
+                if sum(map(len, kind)) > 2 * MAX_PIXELS:  # memory stays bounded however long the showing
+                    kind[:] = [_thinned(kind, MAX_PIXELS, generator)]
             self._stale.add(label)
 
     def train(self, seed: int, first: int = 0) -> None:
@@ -87,7 +87,7 @@ class OnlineMasks:
         ready = {label for label in self._stale if label >= first}
         for label in sorted(ready):
             generator = torch.Generator().manual_seed(seed * 1_000_003 + label)
-            of_object, others = (_thinned(kind, MOST_PIXELS // 2, generator) for kind in self.samples[label])
+            of_object, others = (_thinned(kind, MAX_PIXELS // 2, generator) for kind in self.samples[label])
             self.heads.pop(label, None)
             if len(of_object) == 0 or len(others) == 0:  # a mask that fills its box teaches nothing about edges
                 continue
@@ -95,7 +95,7 @@ class OnlineMasks:
             Y = torch.cat([torch.ones(len(of_object), 1), -torch.ones(len(others), 1)])
             scale, head = Normalization.of(X), self.make_head()
             if isinstance(head, Falkon):
-                head.number_of_centers = min(head.number_of_centers, MOST_CENTERS)
+                head.number_of_centers = min(head.number_of_centers, MAX_CENTERS)
             head.fit(scale(X), Y)
             self.heads[label], self.scales[label] = head, scale
         self._stale -= ready
@@ -166,7 +166,7 @@ def pixel_features(extractor: FeatureExtractor, image: ImageFeatures, boxes: tor
     """
     features = extractor.mask_features(image, boxes).float().cpu()
     if not bool(torch.isfinite(features).all()):
-        raise DataError("the features of a picture's pixels are not finite; expected numbers")
+        raise DataError("the features of a image's pixels are not finite; expected numbers")
     if extractor.mask_size <= GRID:
         return features
     return functional.adaptive_avg_pool2d(features.permute(0, 3, 1, 2), GRID).permute(0, 2, 3, 1).contiguous()

@@ -54,11 +54,11 @@ class Minibootstrap:
     def train_class(
         self, make_head: MakeHead, X: Rows, positives: torch.Tensor, negatives: torch.Tensor
     ) -> OnlineHead | None:
-        """Train one class as the thesis does: own samples, own centres drawn anew in every round.
+        """Train one class as the thesis does: own samples, own centers drawn anew in every round.
 
         Args:
             make_head: Gives an untrained head.
-            X: (n, d) features of all regions, normalised.
+            X: (n, d) features of all regions, normalized.
             positives: (p,) row numbers.
             negatives: (q,) row numbers in random order; beyond the budget they are ignored.
 
@@ -82,14 +82,14 @@ class Minibootstrap:
     ) -> OnlineHead:
         """Train all classes at once on one pool of regions: a documented variation, much faster.
 
-        Classes share samples, centres and the factorisation; a region of one class is a negative of all others. A
-        fresh negative is taken in when it is hard for any class. With FALKON the centres are drawn once from the
+        Classes share samples, centers and the factorization; a region of one class is a negative of all others. A
+        fresh negative is taken in when it is hard for any class. With FALKON the centers are drawn once from the
         whole pool and every kernel row is computed once, for scoring and training alike; easy negatives, once taken
         in, stay: taking them out would cost as much as it saves.
 
         Args:
             make_head: Gives an untrained head.
-            X: (n, d) features of all regions, normalised.
+            X: (n, d) features of all regions, normalized.
             label: (n,) class number, -1 for background.
             negatives: (q,) row numbers of background regions in random order.
             classes: Number of classes (t); one without positives scores every region about -1.

@@ -17,7 +17,7 @@ POSITIVE_SHARE = 0.8
 class Normalization:
     """x <- (x - mean) * 20 / mean_norm.
 
-    mean_norm is the mean length of the samples before centring. These are no z-scores, in spite of the name they have
+    mean_norm is the mean length of the samples before centering. These are no z-scores, in spite of the name they have
     in the released code: directions keep their relative spread.
 
     Attributes:
@@ -29,11 +29,11 @@ class Normalization:
     mean_norm: float
 
     def __call__(self, X: torch.Tensor) -> torch.Tensor:
-        """Normalise features (..., d)."""
+        """Normalize features (..., d)."""
         return X.sub(self.mean.to(X)).mul_(TARGET_NORM / self.mean_norm)
 
     def rows_of(self, X: torch.Tensor) -> NormalizedRows:
-        """Return a view of X (n, d) whose rows are normalised when they are asked for."""
+        """Return a view of X (n, d) whose rows are normalized when they are asked for."""
         return NormalizedRows(self, X)
 
     @classmethod
@@ -61,7 +61,7 @@ class Normalization:
 
 @dataclass(frozen=True, eq=False)
 class NormalizedRows:
-    """Features X (n, d) of which training uses few: only those are copied and normalised.
+    """Features X (n, d) of which training uses few: only those are copied and normalized.
 
     Attributes:
         normalization: Their scale.
@@ -72,5 +72,5 @@ class NormalizedRows:
     X: torch.Tensor
 
     def __getitem__(self, rows: torch.Tensor) -> torch.Tensor:
-        """Return the normalised rows (k, d) of row numbers (k,)."""
+        """Return the normalized rows (k, d) of row numbers (k,)."""
         return self.normalization(self.X[rows])

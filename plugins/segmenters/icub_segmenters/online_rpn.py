@@ -174,7 +174,7 @@ class OnlineRpn(ABC):
 
     @abstractmethod
     def _scores(self, cells: RpnCells, X: torch.Tensor) -> torch.Tensor:
-        """Return the scores (L, A) of all anchors from normalised features X (L, f); NO_CLASSIFIER where none is."""
+        """Return the scores (L, A) of all anchors from normalized features X (L, f); NO_CLASSIFIER where none is."""
 
     def _keep_regressed(self, cells: RpnCells, chosen: torch.Tensor, truth: torch.Tensor) -> None:
         """Add anchors of flat numbers (n,) with their true boxes (n, 4) to the regressors' table."""

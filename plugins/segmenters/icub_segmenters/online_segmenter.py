@@ -25,7 +25,6 @@ from icub_segmenters.clutter import Compositor, Cutout
 from icub_segmenters.detection import Detections, OnlineDetector
 from icub_segmenters.faithful_rpn import FaithfulRpn
 from icub_segmenters.heads.falkon import Falkon
-from icub_segmenters.training_image import Lesson, check_masks, stacked
 from icub_segmenters.mask_geometry import boxes_of_masks, paste_masks
 from icub_segmenters.masks import OnlineMasks, PretrainedMasks, pixel_features
 from icub_segmenters.minibootstrap import Minibootstrap
@@ -34,6 +33,7 @@ from icub_segmenters.region_store import RegionStore
 from icub_segmenters.regions import describe
 from icub_segmenters.sampling import thin_out
 from icub_segmenters.shared_rpn import SharedRpn
+from icub_segmenters.training_image import TrainingImage, check_masks, stacked
 
 log = logging.getLogger(__name__)
 
@@ -42,18 +42,18 @@ PROPOSALS = ("pretrained", "online")
 MASKS = ("combined", "online", "pretrained")
 FORMAT = 2
 FILE = "segmenter.safetensors"
-LOWEST_SCORE = -0.7
+MIN_SCORE = -0.7
 """Instances that score less are not reported: between this and the targets of negatives, -1, all is noise."""
 SURPLUS = 1.5
 """Negatives in the store may outgrow the budget by this factor before old images are thinned out."""
-SMALLEST_MASK = 20
+MIN_MASK = 20
 """Pixels; what is smaller than this is no finding."""
 ANCHORS_DESCRIBED = 400
-"""Anchors of a picture from which further negatives are drawn, as many as from the pre-trained network's proposals,
+"""Anchors of a image from which further negatives are drawn, as many as from the pre-trained network's proposals,
 where regions are proposed on-line: the detector has never seen most of what is proposed to it otherwise, and takes some
 of it for objects. Without them mask mAP50 on the table-top task was 74, with them 77 (one run)."""
 BANK_PICTURES = 0
-"""Clutter pictures that are learnt from as they are, before the first lesson: a bank of negatives."""
+"""Clutter images that are learned from as they are, before the first training image: a bank of negatives."""
 
 
 class OnlineSegmenter(Segmenter):
@@ -61,7 +61,7 @@ class OnlineSegmenter(Segmenter):
 
     While frames arrive (`observe`) features are computed and kept; `update` only trains heads: all classes of the
     detector anew on old and new regions together (Algorithms 2 and 3 keep the negatives balanced over images), masks
-    of classes with new pixels only. A class of one single instance is learnt from the boxes around it; a frame
+    of classes with new pixels only. A class of one single instance is learned from the boxes around it; a frame
     without instances adds negatives.
 
     An instance's score is what the classifier says: targets were +1 and -1, so 0 is undecided.
@@ -88,11 +88,11 @@ class OnlineSegmenter(Segmenter):
         Args:
             feature_extractor: Proposes and describes regions.
             online_head: Gives an untrained classifier at every call; used for regions and for pixels.
-            mode: ``"shared"``: one pool and one factorisation for all classes, and one for the anchor types of a
-                level; ``"faithful"``: Algorithm 1, each class and anchor type with its own samples and centres.
+            mode: ``"shared"``: one pool and one factorization for all classes, and one for the anchor types of a
+                level; ``"faithful"``: Algorithm 1, each class and anchor type with its own samples and centers.
             batches: Batches of negatives (n_B).
             batch_size: Negatives in a batch (BS).
-            composites: Pictures with pasted clutter made of every observed frame, its instances taking turns; 0 for
+            composites: Images with pasted clutter made of every observed frame, its instances taking turns; 0 for
                 none.
             masks: ``"online"``: a classifier a class; ``"pretrained"``: the extractor's own class-agnostic masks;
                 ``"combined"``: the mean of both where the extractor has a mask branch, else ``"online"``.
@@ -114,7 +114,7 @@ class OnlineSegmenter(Segmenter):
         self.extractor = feature_extractor
         self.procedure = Minibootstrap(batches, batch_size)
         self.composites, self.seed = composites, seed
-        self.lowest_score = LOWEST_SCORE
+        self.lowest_score = MIN_SCORE
         self.asks_online, self.asks_pretrained = masks != "pretrained", masks != "online" and has_masks
         self.detector = OnlineDetector(online_head, self.procedure, shared=mode == "shared", repool=repool)
         self.masks = OnlineMasks(online_head)
@@ -135,7 +135,7 @@ class OnlineSegmenter(Segmenter):
         return self._trained
 
     def observe(self, frame: RgbdFrame, instances: Sequence[Instance]) -> None:
-        """Extract the features of one annotated frame, and of `composites` pictures made of its instances.
+        """Extract the features of one annotated frame, and of `composites` images made of its instances.
 
         Raises:
             DataError: A mask is empty or has another size than the image; nothing is kept of the frame.
@@ -156,7 +156,7 @@ class OnlineSegmenter(Segmenter):
         cutouts = [Cutout.of(instance.label, frame.rgb, instance.mask) for instance in instances]
         for number in rng.permutation(max(self.composites, len(cutouts)))[: self.composites]:  # all in turn, if few
             made = self._compositor.compose(cutouts[number % len(cutouts)], (size[0], size[1]), rng)
-            self._learn_from(made.rgb, list(made.instances), generator, made.strangers)
+            self._learn_from(made.rgb, list(made.instances), generator, made.distractors)
         for cutout in cutouts:
             self._compositor.remember(cutout, rng)
 
@@ -235,7 +235,7 @@ class OnlineSegmenter(Segmenter):
             image = self._proposed(self.extractor.extract(frame.rgb))
             found = self.detector.detect(self.extractor, image, self.lowest_score)
             masks = paste_masks(self._mask_values(image, found), found.boxes, image.image_size)
-            large = torch.nonzero(masks.flatten(1).sum(dim=1) >= SMALLEST_MASK).flatten()
+            large = torch.nonzero(masks.flatten(1).sum(dim=1) >= MIN_MASK).flatten()
             found, masks = found.take(large), masks[large]
             tight = Detections(boxes_of_masks(masks, found.boxes), found.labels, found.scores)
         return tuple(
@@ -301,43 +301,55 @@ class OnlineSegmenter(Segmenter):
         rgb: np.ndarray,
         instances: Sequence[tuple[str, np.ndarray]],
         generator: torch.Generator,
-        strangers: Sequence[np.ndarray] = (),
+        distractors: Sequence[np.ndarray] = (),
     ) -> None:
-        """Learn from one picture with its (label, mask) pairs and masks of other objects; all of it or nothing."""
+        """Learn from one image with its (label, mask) pairs and masks of other objects; all of it or nothing."""
         known = list(self._labels)
-        masks, others = stacked([mask for _, mask in instances], rgb), stacked(strangers, rgb)
+        masks, others = stacked([mask for _, mask in instances], rgb), stacked(distractors, rgb)
         boxes = boxes_of_masks(masks, torch.zeros(len(masks), 4))
         other_boxes = boxes_of_masks(others, torch.zeros(len(others), 4))
         numbers = torch.tensor([self._number(label) for label, _ in instances], dtype=torch.int64)
         try:
             with torch.no_grad():
-                self._take(Lesson(rgb, masks, boxes, numbers, other_boxes), generator)
+                self._take(TrainingImage(rgb, masks, boxes, numbers, other_boxes), generator)
         except DataError:
             self._labels = known
             raise
 
-    def _take(self, lesson: Lesson, generator: torch.Generator) -> None:
-        """Keep what a picture teaches, from one extraction of features."""
-        image = self.extractor.extract(lesson.rgb)
+    def _take(self, training_image: TrainingImage, generator: torch.Generator) -> None:
+        """Keep what a image teaches, from one extraction of features."""
+        image = self.extractor.extract(training_image.rgb)
         if self.rpn is None:
-            self._keep_regions(image, lesson, generator)
+            self._keep_regions(image, training_image, generator)
             return
         cells = self._cells(image)
         # what is proposed later does not look like the pre-trained network's proposals: anchors stand for it
         anchors = some_anchors(cells, ANCHORS_DESCRIBED, image.image_size, generator)
-        self._keep_regions(image, lesson, generator, anchors)
-        self.rpn.observe(cells, lesson.boxes, image.image_size, generator)
+        self._keep_regions(image, training_image, generator, anchors)
+        self.rpn.observe(cells, training_image.boxes, image.image_size, generator)
 
     def _keep_regions(
-        self, image: ImageFeatures, lesson: Lesson, generator: torch.Generator, others: torch.Tensor | None = None
+        self,
+        image: ImageFeatures,
+        training_image: TrainingImage,
+        generator: torch.Generator,
+        others: torch.Tensor | None = None,
     ) -> None:
-        """Keep regions and pixels of a picture; nothing, if any of their features is not finite."""
-        regions = describe(self.extractor, image, lesson.boxes, lesson.numbers, generator, lesson.strangers, others)
-        learns_pixels = self.asks_online and len(lesson.boxes) > 0
-        pixels = pixel_features(self.extractor, image, lesson.boxes) if learns_pixels else None
+        """Keep regions and pixels of a image; nothing, if any of their features is not finite."""
+        regions = describe(
+            self.extractor,
+            image,
+            training_image.boxes,
+            training_image.numbers,
+            generator,
+            training_image.distractors,
+            others,
+        )
+        learns_pixels = self.asks_online and len(training_image.boxes) > 0
+        pixels = pixel_features(self.extractor, image, training_image.boxes) if learns_pixels else None
         self.store.append(regions)
         if pixels is not None:
-            self.masks.observe(pixels, lesson.boxes, lesson.masks, lesson.numbers, generator)
+            self.masks.observe(pixels, training_image.boxes, training_image.masks, training_image.numbers, generator)
         if int((self.store.near < 0).sum()) > SURPLUS * self.procedure.budget:
             thin_out(self.store, self.procedure.budget)
 
@@ -353,7 +365,7 @@ class OnlineSegmenter(Segmenter):
         if cells is None:
             raise ConfigError("proposals='online' needs a feature extractor with a region proposal network")
         if not bool(torch.isfinite(cells.features).all()):
-            raise DataError("the features of a picture's cells are not finite; expected numbers")
+            raise DataError("the features of a image's cells are not finite; expected numbers")
         return cells
 
     def _mask_values(self, image: ImageFeatures, found: Detections) -> torch.Tensor:

@@ -15,7 +15,7 @@ NEGATIVE_IOU = 0.3
 """A region that overlaps every true box by less is a negative (thesis 11.3.2)."""
 JITTERED = 6
 """Boxes drawn around each true one: with the proposals they are the positives."""
-STRANGER_BOXES = 2
+DISTRACTOR_BOXES = 2
 """Boxes described of each known other object: its own, and others drawn around it."""
 KEPT_NEAR = 12
 """Regions an image contributes at most that overlap an object too little to be its positives and too much to be its
@@ -53,13 +53,13 @@ def describe(
     truth: torch.Tensor,
     truth_label: torch.Tensor,
     generator: torch.Generator,
-    strangers: torch.Tensor | None = None,
+    distractors: torch.Tensor | None = None,
     others: torch.Tensor | None = None,
 ) -> Regions:
     """Describe true boxes (m, 4), boxes drawn around them, and the network's proposals (thesis 11.3.2).
 
-    Boxes of other objects (k, 4), where they are known, are described too: what a stranger looks like when it is well
-    framed is what must not be taken for a taught object, and few proposals of a picture frame one.
+    Boxes of other objects (k, 4), where they are known, are described too: what a distractor looks like when it is well
+    framed is what must not be taken for a taught object, and few proposals of a image frame one.
     Of the proposals that are no positives a uniform choice is described; features of the others are not needed.
     Of other boxes (j, 4), where they are given, as many negatives are described as of the proposals.
     """
@@ -69,9 +69,11 @@ def describe(
     positive, between = label != BACKGROUND, (label == BACKGROUND) & (near != BACKGROUND)
     groups = ((positive, len(proposals)), (between, KEPT_NEAR), (near == BACKGROUND, KEPT_NEGATIVES))
     kept = torch.cat([sample(torch.nonzero(group).flatten(), most, generator) for group, most in groups])
-    for box in () if strangers is None else strangers:
-        drawn = jittered(box, STRANGER_BOXES - 1, POSITIVE_IOU, image.image_size, generator) if STRANGER_BOXES else box
-        around.append(torch.cat([box[None], drawn.reshape(-1, 4)])[:STRANGER_BOXES])
+    for box in () if distractors is None else distractors:
+        drawn = (
+            jittered(box, DISTRACTOR_BOXES - 1, POSITIVE_IOU, image.image_size, generator) if DISTRACTOR_BOXES else box
+        )
+        around.append(torch.cat([box[None], drawn.reshape(-1, 4)])[:DISTRACTOR_BOXES])
     if others is not None:
         away = torch.nonzero(assign(others, truth, truth_label)[1] == BACKGROUND).flatten()
         around.append(others[sample(away, KEPT_NEGATIVES, generator)])

@@ -12,7 +12,7 @@ import torch
 
 from icub_segmenters.region_store import BACKGROUND, RegionStore
 
-MOST_NEAR = 5000
+MAX_NEAR = 5000
 """Positives and near misses of a class that are kept: more than its training uses."""
 
 
@@ -82,7 +82,7 @@ def thin_out(store: RegionStore, budget: int) -> None:
         showing[store.image[near == c]] = True
         kept[_of_images(store, showing[store.image] & (near != c), budget)] = True
     rows = torch.nonzero(near != BACKGROUND).flatten()
-    kept[lowest_per_group(rows, near[rows], store.priority[rows], MOST_NEAR)] = True
+    kept[lowest_per_group(rows, near[rows], store.priority[rows], MAX_NEAR)] = True
     store.keep(torch.nonzero(kept).flatten())
 
 

@@ -3,7 +3,7 @@
 The thesis trains one classifier an anchor type (`FaithfulRpn`). With the few frames of a showing many types have hardly
 a positive, and their classifiers cannot be compared with one another. Here a cell is a sample, and how well each of its
 anchors covers an object is what is predicted: -1 up to an IoU of 0.3, +1 from 0.7, linear between. All types of a
-cell share samples, centres and factorisation.
+cell share samples, centers and factorization.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from icub_segmenters.sampling import lowest_per_group, quota_per_image
 
 REGRESSED_IOU = 0.5
 """Anchors that overlap a true box by more teach the regressors; from 0.6 on, as in the thesis, they are few."""
-MOST_CENTERS = 500
-"""Cells have 128 features or so; with 1000 centres recall was the same."""
-MOST_AN_IMAGE = 60
+MAX_CENTERS = 500
+"""Cells have 128 features or so; with 1000 centers recall was the same."""
+MAX_AN_IMAGE = 60
 """Cells near objects, and as many others, that an image contributes at most for a group of anchor types."""
 SURPLUS = 1.5
 """Kept cells may outgrow the budget by this factor before old images are thinned out."""
@@ -61,7 +61,7 @@ class SharedRpn(OnlineRpn):
         quota = quota_per_image(self.procedure.budget, self.images + 1)
         for name, chosen in (("near", is_near), ("far", ~is_near)):
             rows = self._rows(cells, first[chosen], values[chosen])
-            self.tables[name].append(rows.take(_lowest(rows, min(quota, MOST_AN_IMAGE))))
+            self.tables[name].append(rows.take(_lowest(rows, min(quota, MAX_AN_IMAGE))))
             groups = len(cells.types[:, 0].unique())
             if sum(map(len, self.tables[name])) > SURPLUS * self.procedure.budget * groups:
                 self._thin_out(name, self.images + 1)
@@ -79,7 +79,7 @@ class SharedRpn(OnlineRpn):
             own = rows.types == group
             head = self.make_head()
             if isinstance(head, Falkon):
-                head.number_of_centers = min(head.number_of_centers, MOST_CENTERS)
+                head.number_of_centers = min(head.number_of_centers, MAX_CENTERS)
             head.fit(normalization(rows.features[own]), rows.values[own, :-1])
             heads[group] = head
         return normalization, heads

@@ -1,4 +1,4 @@
-"""One annotated picture, checked and in the form in which heads learn from it."""
+"""One annotated image, checked and in the form in which heads learn from it."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from icub_core.errors import DataError
 
 
 @dataclass(frozen=True, eq=False)
-class Lesson:
-    """One picture to learn from.
+class TrainingImage:
+    """One image to learn from.
 
     Attributes:
         rgb: (H, W, 3) uint8.
         masks: (n, H, W) bool, of the taught objects.
         boxes: (n, 4) their tight boxes.
         numbers: (n,) int64, their classes.
-        strangers: (k, 4) boxes of objects that are known to be none of the taught ones.
+        distractors: (k, 4) boxes of objects that are known to be none of the taught ones.
     """
 
     rgb: np.ndarray
     masks: torch.Tensor
     boxes: torch.Tensor
     numbers: torch.Tensor
-    strangers: torch.Tensor
+    distractors: torch.Tensor
 
 
 def check_masks(frame: RgbdFrame, instances: Sequence[Instance]) -> None:

@@ -1,4 +1,4 @@
-"""Quadric vertex clustering: a mesh in few faces, in one vectorised pass."""
+"""Quadric vertex clustering: a mesh in few faces, in one vectorized pass."""
 
 from __future__ import annotations
 

@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 from icub_core.interfaces.simulator import Rendering
 
 BASELINE = 0.055
-"""Metres between the two imagers of a RealSense D415."""
+"""Meters between the two imagers of a RealSense D415."""
 DISPARITY_NOISE = 0.08
 """Standard deviation of a measured disparity, pixels (the maker's figure for well textured surfaces)."""
 DISPARITY_STEP = 1.0 / 32.0
 """Disparities are whole multiples of this, pixels."""
 EDGE_JUMP = 1.0
-"""Pixels of disparity between neighbours that make an edge, where matching windows see two surfaces."""
+"""Pixels of disparity between neighbors that make an edge, where matching windows see two surfaces."""
 EDGE_LOSS = 0.6
 """Share of edge pixels that are not measured."""
 FARTHEST = 10.0
-"""Metres beyond which nothing is measured."""
+"""Meters beyond which nothing is measured."""
 
 
 class DepthNoise:
@@ -35,7 +35,7 @@ class DepthNoise:
         self._rng = np.random.default_rng(0)
 
     def apply(self, picture: Rendering) -> Rendering:
-        """Return the picture with measured instead of true depth."""
+        """Return the image with measured instead of true depth."""
         frame = picture.frame
         depth = stereo_depth(frame.depth, float(frame.intrinsics[0, 0]), self._rng)
         return Rendering(replace(frame, depth=depth), picture.segmentation)
@@ -47,12 +47,12 @@ def stereo_depth(depth: NDArray[np.float32], focal: float, rng: np.random.Genera
     Holes are where the second imager, `BASELINE` to the right, sees something nearer, and along edges of depth.
 
     Args:
-        depth: (H, W), metres, 0 where nothing is.
+        depth: (H, W), meters, 0 where nothing is.
         focal: Pixels.
         rng: Draws the noise.
 
     Returns:
-        (H, W) float32 metres, 0 where nothing was measured.
+        (H, W) float32 meters, 0 where nothing was measured.
     """
     known = (depth > 0) & (depth < FARTHEST)
     disparity = np.where(known, focal * BASELINE / np.where(known, depth, 1.0), 0.0)

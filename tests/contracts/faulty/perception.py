@@ -239,7 +239,7 @@ class DrawsIntoTheImage(TinySegmenter):
 class LoadsInexactly(TinySegmenter):
     def load(self, path):
         super().load(path)
-        self._known = {label: colour + 0.02 for label, colour in self._known.items()}
+        self._known = {label: color + 0.02 for label, color in self._known.items()}
 
 
 @breaks("segmenter", "check_no_pickle")

@@ -9,7 +9,7 @@ from icub_core.interfaces.robot import GazeSolution
 from icub_core.scene import Scene
 from icub_testing.tiny.robot import TinyRobot, _describe
 from icub_testing.tiny.simulator import TinySimulator
-from icub_testing.tiny.things import COLOURS, TinyDataset, TinyObjects
+from icub_testing.tiny.things import COLORS, TinyDataset, TinyObjects
 
 from .base import breaks
 
@@ -296,7 +296,7 @@ class WeighsAtRandom(TinyObjects):
 @breaks("objects", "check_unknown")
 class PlainKeyError(TinyObjects):
     def get(self, name):
-        assert COLOURS[name]
+        assert COLORS[name]
         return super().get(name)
 
 

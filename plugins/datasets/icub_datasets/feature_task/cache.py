@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from icub_core.errors import DataError
 from icub_core.files import cache_dir
-from icub_datasets.feature_task.renderer import FeatureTaskRenderer, LabelledImage
+from icub_datasets.feature_task.renderer import FeatureTaskRenderer, LabeledImage
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ def _join(blobs: list[NDArray[np.uint8]]) -> tuple[NDArray[np.uint8], NDArray[np
     return np.concatenate(blobs), np.cumsum([0] + [len(b) for b in blobs]).astype(np.int64)
 
 
-def _write_shard(path: Path, frames: list[LabelledImage]) -> None:
+def _write_shard(path: Path, frames: list[LabeledImage]) -> None:
     images = [cv2.imencode(".jpg", f.rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1] for f in frames]
     maps = [cv2.imencode(".png", f.instances)[1] for f in frames]
     jpeg, jpeg_at = _join([b.ravel() for b in images])
@@ -172,11 +172,11 @@ class FeatureTaskFrames:
     def __len__(self) -> int:
         return len(self._records)
 
-    def __getitem__(self, index: int) -> LabelledImage:
+    def __getitem__(self, index: int) -> LabeledImage:
         """Decode one frame."""
         jpeg, png, labels = self._records[index]
         rgb = cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
         instances = cv2.imdecode(png, cv2.IMREAD_GRAYSCALE)
         if rgb is None or instances is None:
             raise DataError(f"frame {index} of the FEATURE-TASK cannot be decoded; delete its shard and render again")
-        return LabelledImage(np.ascontiguousarray(rgb[..., ::-1], np.uint8), np.asarray(instances, np.uint8), labels)
+        return LabeledImage(np.ascontiguousarray(rgb[..., ::-1], np.uint8), np.asarray(instances, np.uint8), labels)

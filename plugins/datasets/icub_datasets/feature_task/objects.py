@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 
 from icub_core.errors import DataError
 
-# Published sizes of the YCB objects used in the thesis's experiments, metres (ycbbenchmarks.com). No class may
+# Published sizes of the YCB objects used in the thesis's experiments, meters (ycbbenchmarks.com). No class may
 # have a bounding box that is within RESEMBLANCE of one of these on all three sorted sides.
 YCB_SIZES: dict[str, tuple[float, float, float]] = {
     "003_cracker_box": (0.060, 0.158, 0.210),
@@ -39,8 +39,8 @@ class Part:
 
     Attributes:
         shape: "box", "cylinder", "ellipsoid", "capsule" or "mesh".
-        size: (3,) half sizes of a primitive (cylinder and capsule: radius, half length, 0), metres; a mesh's scale.
-        position: (3,) of the part in the object's frame, metres.
+        size: (3,) half sizes of a primitive (cylinder and capsule: radius, half length, 0), meters; a mesh's scale.
+        position: (3,) of the part in the object's frame, meters.
         mesh: Path of the OBJ file of a mesh.
     """
 
@@ -57,7 +57,7 @@ class TaskObject:
     Attributes:
         name: Unique name.
         parts: Its geometries.
-        points: (K, 3) points whose hull holds the object, object frame, metres.
+        points: (K, 3) points whose hull holds the object, object frame, meters.
     """
 
     name: str
@@ -66,12 +66,12 @@ class TaskObject:
 
     @property
     def extents(self) -> NDArray[np.float64]:
-        """(3,) sides of the bounding box in the object's frame, metres."""
+        """(3,) sides of the bounding box in the object's frame, meters."""
         return np.ptp(self.points, axis=0)
 
 
 def resembles_ycb(extents: NDArray[np.float64]) -> str | None:
-    """Return the name of the YCB object that a box of `extents` (3,) metres could be taken for, or None."""
+    """Return the name of the YCB object that a box of `extents` (3,) meters could be taken for, or None."""
     mine = np.sort(np.asarray(extents))
     for name, size in YCB_SIZES.items():
         theirs = np.sort(np.array(size))
@@ -121,11 +121,11 @@ def _mesh_objects(rng: np.random.Generator, count: int) -> list[TaskObject]:
         scale = rng.uniform(0.09, 0.20) / extents.max()
         if extents.min() * scale < 0.02 or resembles_ycb(extents * scale):
             continue
-        centre = (vertices.max(0) + vertices.min(0)) / 2 * scale
+        center = (vertices.max(0) + vertices.min(0)) / 2 * scale
         hull = vertices[ConvexHull(vertices).vertices]
-        x, y, z = (-centre).tolist()
+        x, y, z = (-center).tolist()
         part = Part("mesh", (float(scale),) * 3, (x, y, z), path)
-        found.append(TaskObject(f"mesh_{name}", (part,), hull * scale - centre))
+        found.append(TaskObject(f"mesh_{name}", (part,), hull * scale - center))
         if len(found) == count:
             return found
     raise DataError(f"{folder}: only {len(found)} of {count} objects can be used")
@@ -186,14 +186,14 @@ def _products(rng: np.random.Generator, count: int) -> list[TaskObject]:
     while len(found) < count:
         kind, parts = _random_product(rng)
         points = _hull_points(parts)
-        centre = (points.max(0) + points.min(0)) / 2
+        center = (points.max(0) + points.min(0)) / 2
         if resembles_ycb(np.ptp(points, axis=0)):
             continue
         moved = []
         for part in parts:
-            x, y, z = (np.array(part.position) - centre).tolist()
+            x, y, z = (np.array(part.position) - center).tolist()
             moved.append(Part(part.shape, part.size, (x, y, z)))
-        found.append(TaskObject(f"{kind}_{len(found):03d}", tuple(moved), points - centre))
+        found.append(TaskObject(f"{kind}_{len(found):03d}", tuple(moved), points - center))
     return found
 
 

@@ -27,7 +27,7 @@ _HIDDEN, _SHOWN = 5, 0  # geom groups: MuJoCo's default view shows 0 to 2 only
 
 
 @dataclass(frozen=True, eq=False)
-class LabelledImage:
+class LabeledImage:
     """One frame with its exact annotation.
 
     Attributes:
@@ -69,7 +69,7 @@ def _resting_rotation(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 class FeatureTaskRenderer:
-    """Draws random labelled frames; the same frame seed gives the same frame."""
+    """Draws random labeled frames; the same frame seed gives the same frame."""
 
     def __init__(self, class_seed: int = 0, meshes: int | None = None, products: int | None = None) -> None:
         """Build the model with all classes.
@@ -177,7 +177,7 @@ class FeatureTaskRenderer:
 
     # one frame ------------------------------------------------------------------------------------------------
 
-    def render(self, seed: list[int]) -> LabelledImage:
+    def render(self, seed: list[int]) -> LabeledImage:
         """Render the frame of a seed (any list of non-negative integers)."""
         rng = np.random.default_rng(seed)
         mj, model, data = self._mujoco, self._model, self._data
@@ -202,13 +202,13 @@ class FeatureTaskRenderer:
         return self._label(rgb, self._classes[geoms])
 
     @staticmethod
-    def _label(rgb: NDArray[np.uint8], classes: NDArray[np.int64]) -> LabelledImage:
+    def _label(rgb: NDArray[np.uint8], classes: NDArray[np.int64]) -> LabeledImage:
         counts = np.bincount(classes.ravel())
         labels = np.flatnonzero(counts >= MIN_PIXELS)
         labels = labels[labels > 0]
         table = np.zeros(len(counts), dtype=np.uint8)
         table[labels] = np.arange(1, len(labels) + 1)
-        return LabelledImage(rgb, table[classes], labels.astype(np.int64))
+        return LabeledImage(rgb, table[classes], labels.astype(np.int64))
 
     def _dress(self, rng: np.random.Generator, name: str) -> None:
         """Give a piece of furniture a random material, tint and repetition."""

@@ -14,7 +14,7 @@ from icub_core.interfaces.dataset import Dataset
 from icub_datasets.feature_task import cache
 from icub_datasets.feature_task.augment import augment
 from icub_datasets.feature_task.objects import MESH_COUNT, PRODUCT_COUNT, feature_task_objects
-from icub_datasets.feature_task.renderer import LabelledImage
+from icub_datasets.feature_task.renderer import LabeledImage
 
 MIDDLE_FOVY = 0.85
 """Stands in for the vertical field of view, which varies from frame to frame (depth is 0: nothing depends on it)."""
@@ -24,7 +24,7 @@ DEFAULT_FRAMES = {cache.TRAIN: 10_000, cache.VALIDATION: 400}
 class FeatureTask(Dataset):
     """Rendered images of 180 invented objects, for the pre-training of feature extractors (thesis 5.3).
 
-    Nothing is rendered before `prepare` is called. Depth is 0 everywhere: only colours and masks are kept.
+    Nothing is rendered before `prepare` is called. Depth is 0 everywhere: only colors and masks are kept.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class FeatureTask(Dataset):
     def __len__(self) -> int:
         return self._length
 
-    def labelled(self, index: int) -> LabelledImage:
+    def labeled(self, index: int) -> LabeledImage:
         """Frame `index` as it was rendered."""
         if not 0 <= index < self._length:
             raise IndexError(f"frame {index} of {self._length}")
@@ -81,7 +81,7 @@ class FeatureTask(Dataset):
 
     def __getitem__(self, index: int) -> tuple[RgbdFrame, tuple[Instance, ...]]:
         """Frame `index` and its visible objects."""
-        image = self.labelled(index)
+        image = self.labeled(index)
         height, width = image.instances.shape
         depth = np.zeros((height, width), dtype=np.float32)
         frame = RgbdFrame(image.rgb, depth, pinhole(width, height, MIDDLE_FOVY), np.eye(4))
@@ -90,7 +90,7 @@ class FeatureTask(Dataset):
             Instance.from_mask(names[label - 1], image.instances == i) for i, label in enumerate(image.labels, start=1)
         )
 
-    def sample(self, rng: np.random.Generator) -> LabelledImage:
+    def sample(self, rng: np.random.Generator) -> LabeledImage:
         """Draw one augmented frame with at least one object."""
         frames = self._frames()
         while True:

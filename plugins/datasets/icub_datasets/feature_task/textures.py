@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 CUBE_FACES = 6
 
 
-def _colour(rng: np.random.Generator) -> NDArray[np.float64]:
-    """A colour (3,) in 0..255: uniform in hue, mostly saturated, at times grey, white or black."""
+def _color(rng: np.random.Generator) -> NDArray[np.float64]:
+    """A color (3,) in 0..255: uniform in hue, mostly saturated, at times gray, white or black."""
     kind = rng.random()
     if kind < 0.12:
         value = rng.uniform(200, 255) if rng.random() < 0.6 else rng.uniform(15, 60)
@@ -35,7 +35,7 @@ def smooth_noise(rng: np.random.Generator, size: int, cells: int, octaves: int =
 
 
 def _mix(mask: NDArray[np.float32], a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Blend two colours (3,) by a mask (size, size) in 0..1."""
+    """Blend two colors (3,) by a mask (size, size) in 0..1."""
     return (mask[..., None] * a + (1 - mask[..., None]) * b).astype(np.float32)
 
 
@@ -56,8 +56,8 @@ def _blobs(rng: np.random.Generator, size: int) -> NDArray[np.float32]:
     image = np.zeros((size, size), dtype=np.uint8)
     for _ in range(int(rng.integers(4, 25))):
         axes = tuple(int(v) for v in rng.integers(size // 32 + 1, size // 6, size=2))
-        centre = tuple(int(v) for v in rng.integers(0, size, size=2))
-        cv2.ellipse(image, centre, axes, float(rng.uniform(0, 180)), 0, 360, 255, -1, cv2.LINE_AA)
+        center = tuple(int(v) for v in rng.integers(0, size, size=2))
+        cv2.ellipse(image, center, axes, float(rng.uniform(0, 180)), 0, 360, 255, -1, cv2.LINE_AA)
     return np.asarray(image, np.float32) / np.float32(255)
 
 
@@ -69,23 +69,23 @@ def _write_text(rng: np.random.Generator, face: NDArray[np.uint8], lines: int) -
         word = "".join(rng.choice(letters, size=int(rng.integers(2, 8))))
         scale = float(rng.uniform(0.3, 1.6)) * size / 128
         place = (int(rng.integers(-size // 8, size // 2)), int(rng.integers(size // 8, size)))
-        colour = tuple(float(c) for c in _colour(rng))
-        cv2.putText(face, word, place, int(rng.integers(0, 8)), scale, colour, int(rng.integers(1, 4)), cv2.LINE_AA)
+        color = tuple(float(c) for c in _color(rng))
+        cv2.putText(face, word, place, int(rng.integers(0, 8)), scale, color, int(rng.integers(1, 4)), cv2.LINE_AA)
 
 
 def _label_face(rng: np.random.Generator, size: int, palette: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """A printed face: base colour, one or two bands, a logo and words."""
+    """A printed face: base color, one or two bands, a logo and words."""
     face = np.full((size, size, 3), palette[0], dtype=np.float64).astype(np.uint8)
-    for colour in palette[1 : 1 + int(rng.integers(1, 3))]:
+    for color in palette[1 : 1 + int(rng.integers(1, 3))]:
         a, b = sorted(int(v) for v in rng.integers(0, size, size=2))
         if rng.random() < 0.75:
-            face[a : b + 8] = colour
+            face[a : b + 8] = color
         else:
-            face[:, a : b + 8] = colour
+            face[:, a : b + 8] = color
     if rng.random() < 0.7:
-        centre = tuple(int(v) for v in rng.integers(size // 4, 3 * size // 4, size=2))
+        center = tuple(int(v) for v in rng.integers(size // 4, 3 * size // 4, size=2))
         axes = tuple(int(v) for v in rng.integers(size // 12, size // 3, size=2))
-        cv2.ellipse(face, centre, axes, 0.0, 0, 360, tuple(float(c) for c in palette[-1]), -1, cv2.LINE_AA)
+        cv2.ellipse(face, center, axes, 0.0, 0, 360, tuple(float(c) for c in palette[-1]), -1, cv2.LINE_AA)
     _write_text(rng, face, int(rng.integers(1, 5)))
     return face
 
@@ -100,7 +100,7 @@ def product_texture(rng: np.random.Generator, size: int = 128) -> NDArray[np.uin
     Returns:
         (6 * size, size, 3) uint8, the six faces one below the other.
     """
-    palette = np.stack([_colour(rng) for _ in range(4)])
+    palette = np.stack([_color(rng) for _ in range(4)])
     style = rng.choice(["plain", "noise", "stripes", "checks", "blobs", "label"], p=[0.1, 0.12, 0.14, 0.1, 0.14, 0.4])
     faces: list[NDArray[np.uint8]] = []
     twin = rng.random() < 0.5  # opposite faces of a package often look alike
@@ -132,8 +132,8 @@ def product_texture(rng: np.random.Generator, size: int = 128) -> NDArray[np.uin
 
 def background_texture(rng: np.random.Generator, size: int = 256) -> NDArray[np.uint8]:
     """Draw a table, wall or floor: (size, size, 3) uint8."""
-    a, b = _colour(rng), _colour(rng)
-    if rng.random() < 0.6:  # most furniture is less colourful than products
+    a, b = _color(rng), _color(rng)
+    if rng.random() < 0.6:  # most furniture is less colorful than products
         a, b = a * 0.35 + a.mean() * 0.65, b * 0.35 + b.mean() * 0.65
     style = rng.choice(["wood", "noise", "tiles", "stripes", "plain", "print"])
     if style == "wood":

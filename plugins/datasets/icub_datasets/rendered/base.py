@@ -163,7 +163,7 @@ class RenderedDataset(Dataset):
 
     @abstractmethod
     def _picture(self, simulator: Simulator, sequence: int, moment: int) -> Rendering:
-        """Take picture number `moment` of the loaded sequence, with segmentation."""
+        """Take image number `moment` of the loaded sequence, with segmentation."""
 
 
 def _code_of(engine: str) -> tuple[str, list[Path]]:

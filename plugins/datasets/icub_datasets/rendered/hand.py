@@ -11,7 +11,7 @@ from icub_core.geometry import matrix_to_quat_wxyz
 from icub_core.scene import Geom, Material, ObjectSpec, QuatWxyz, Vec3
 
 WIDEST_GRIP = 0.11
-"""Between thumb and fingers, metres."""
+"""Between thumb and fingers, meters."""
 FINGER_RADIUS, FINGER_REACH = 0.009, 0.07
 FINGER_OFFSETS = (-0.030, -0.010, 0.010, 0.030)
 THUMB_RADIUS, THUMB_REACH = 0.011, 0.05

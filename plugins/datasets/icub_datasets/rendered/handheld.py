@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.geometry import look_at, make_transform, rotation_about
-from icub_core.interfaces.simulator import Rendering, Simulator
 from icub_core import appearance
 from icub_core.appearance import random_lights, random_surface
+from icub_core.geometry import look_at, make_transform, rotation_about
+from icub_core.interfaces.simulator import Rendering, Simulator
 from icub_core.scene import CameraView, Geom, ObjectSpec, Scene, Table
 from icub_datasets.rendered import hand, objects, tabletop
 from icub_datasets.rendered.base import RenderedDataset

@@ -25,7 +25,7 @@ HANDHELD = (
 CLUTTER = ("random_147", "random_154", "random_203", "random_231", "random_420", "random_427")
 """Stand in the background of the hand-held task and are never taught."""
 RANDOM_SIZE = [0.08, 0.18]
-"""Lowest and highest largest extent of a random object, metres."""
+"""Lowest and highest largest extent of a random object, meters."""
 
 
 @lru_cache(maxsize=64)

@@ -19,8 +19,8 @@ from icub_core.files import cache_dir, write_atomically
 logger = logging.getLogger(__name__)
 
 DEPTH_UNIT = 1e-4
-"""Metres a unit of the stored depth; 16 bits reach 6.5 m, what lies farther counts as not measured."""
-_MOST_UNITS = 65535
+"""Meters a unit of the stored depth; 16 bits reach 6.5 m, what lies farther counts as not measured."""
+_MAX_UNITS = 65535
 
 
 def digest(*parts: Any) -> str:
@@ -58,7 +58,7 @@ class StoredFrame:
 
     Attributes:
         rgb: (H, W, 3) uint8.
-        depth: (H, W) uint16, `DEPTH_UNIT` metres.
+        depth: (H, W) uint16, `DEPTH_UNIT` meters.
         segmentation: (H, W) uint8, 0 background, k the k-th of `labels`.
         labels: Names of the instances.
         intrinsics: (3, 3).
@@ -78,7 +78,7 @@ class StoredFrame:
     def pack(cls, frame: RgbdFrame, segmentation: NDArray[np.uint8], labels: tuple[str, ...]) -> StoredFrame:
         """Round the depth of a fresh rendering, so that reading it back from disk gives the same numbers."""
         units = np.round(frame.depth / DEPTH_UNIT)
-        units[~np.isfinite(units) | (units > _MOST_UNITS)] = 0
+        units[~np.isfinite(units) | (units > _MAX_UNITS)] = 0
         return cls(
             frame.rgb, units.astype(np.uint16), segmentation, labels, frame.intrinsics, frame.T_world_camera,
             frame.stamp,

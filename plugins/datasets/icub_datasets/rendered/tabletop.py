@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.geometry import look_at, make_transform, quat_wxyz_to_matrix, rotation_about
-from icub_core.interfaces.simulator import Rendering, Simulator
 from icub_core import appearance
 from icub_core.appearance import random_lights, random_surface
+from icub_core.geometry import look_at, make_transform, quat_wxyz_to_matrix, rotation_about
+from icub_core.interfaces.simulator import Rendering, Simulator
 from icub_core.scene import CameraView, ObjectSpec, Scene, Table
 from icub_datasets.rendered import objects
 from icub_datasets.rendered.base import RenderedDataset
@@ -20,9 +20,9 @@ SEQUENCE_FRAMES = 12
 OBJECTS = (4, 8)
 """Lowest and highest number of objects on a table; YCB-Video has 3 to 9."""
 SPREAD = 0.17
-"""Half side of the area in which things stand, metres: tight, so that they hide one another."""
+"""Half side of the area in which things stand, meters: tight, so that they hide one another."""
 GAP = 0.006
-"""Least distance between two objects' footprints, metres."""
+"""Least distance between two objects' footprints, meters."""
 DISTANCE = (0.48, 0.8)
 ELEVATION = (0.35, 1.0)
 SWEEP = 1.6
@@ -145,7 +145,7 @@ def _rectangle(x: float, y: float, a: float, b: float, yaw: float) -> NDArray[np
 
 
 def _apart(p: NDArray[np.float64], q: NDArray[np.float64]) -> bool:
-    """Say whether two rectangles (4, 2) do not overlap: a separating axis runs along a side of one of them."""
+    """Return True if two rectangles (4, 2) do not overlap: a separating axis runs along a side of one of them."""
     for corners in (p, q):
         for side in (corners[1] - corners[0], corners[2] - corners[1]):
             a, b = p @ side, q @ side

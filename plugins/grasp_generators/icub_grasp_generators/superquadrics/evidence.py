@@ -2,7 +2,7 @@
 
 A drill's superquadric is a box around handle, battery and chuck. The camera sees fewer points than such a box would
 show wherever the box is empty or hidden behind other parts, so poses there close around nothing or around what nobody
-has seen. What a pose may count on is the ratio of two shares of the picture, inside the closing hand: that of the cloud
+has seen. What a pose may count on is the ratio of two shares of the image, inside the closing hand: that of the cloud
 and that which the solid would have from the same viewpoint.
 """
 
@@ -18,9 +18,9 @@ from icub_grasp_generators.superquadrics.shape import Superquadric
 _SURFACE_POINTS = 400
 _CLOSING = np.array(
     [[-0.020, 0.085], [-0.050, 0.050], [0.0, 0.075]]
-)  # what thumb and fingers sweep, hand frame, metres
+)  # what thumb and fingers sweep, hand frame, meters
 _CONFIRMED = 0.8  # ratio from which on nothing is amiss: outliers and parts that the solid leaves out take their share
-_NOTHING = 0.01  # share of the picture below which a pose is not judged
+_NOTHING = 0.01  # share of the image below which a pose is not judged
 _WEIGHT = 2.0
 
 

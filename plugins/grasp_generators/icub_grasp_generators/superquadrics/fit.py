@@ -1,16 +1,16 @@
 """Robust fit of one superquadric to the visible side of an object.
 
-Eleven unknowns: centre, rotation, log half axes, two exponents. The residual of a point is its signed distance to the
+Eleven unknowns: center, rotation, log half axes, two exponents. The residual of a point is its signed distance to the
 tangent plane at the point's radial projection, r = (G - 1) / |grad G| (see `Superquadric.distance`), in which |grad G|
 is held fixed during one Gauss-Newton step, so that the Jacobian of G alone, which is exact and cheap, is needed.
 Outliers: every point is an inlier with normal noise sigma or belongs to a uniform background; expectation gives its
-weight, maximisation is one damped least-squares step. Points on a surface do not say where it ends: a box grown on its
+weight, maximization is one damped least-squares step. Points on a surface do not say where it ends: a box grown on its
 hidden side still contains the visible ones. But a camera spreads its points evenly over the outline, so the likelihood
 falls with the outline's area, which ends the solid about one sigma behind the last point. And the solid reaches down
 to the table top when there is one.
 
 Source: residual and size term after Solina and Bajcsy 1990 and thesis 12.3.1; mixture after Liu et al. 2022 (EMS).
-The released code behind the thesis minimises (F^e1 - 1)^2 by forward differences without any outlier model.
+The released code behind the thesis minimizes (F^e1 - 1)^2 by forward differences without any outlier model.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class _Step:
     outline: float
 
 
-_LEAST_PULL = 0.012  # noise, of the size, below which the pull on the outline falls no further
+_MIN_PULL = 0.012  # noise, of the size, below which the pull on the outline falls no further
 _COARSE_POINTS = 125
 _KEPT = 2  # starts that go on after the first steps
 _FIRST = tuple(_Step(sigma, 0.5) for sigma in (0.05, 0.04, 0.03, 0.02))
@@ -73,7 +73,7 @@ class SuperquadricFit:
 
     Attributes:
         shape: The superquadric, in the cloud's frame.
-        rms: Root mean square distance of the inliers to the surface, metres.
+        rms: Root mean square distance of the inliers to the surface, meters.
         inliers: Share of the points that the fit takes for surface, 0..1.
     """
 
@@ -218,7 +218,7 @@ def _descend(
             odds = terms.odds(sigma)
             w, cost = terms.mixture(odds, sigma, None)
         viewer = viewers(solids, view)
-        pull = (kind.outline * problem.count) * np.maximum(spread, _LEAST_PULL) ** 2
+        pull = (kind.outline * problem.count) * np.maximum(spread, _MIN_PULL) ** 2
         step = _solve(solids, terms, w, pull[:, None] * outline_jacobian(solids, viewer), damping)
         trial = solids.moved(step, _LOW, _HIGH)
         trial_terms = problem.terms(trial)
@@ -268,15 +268,15 @@ def fit_superquadric(points: NDArray[np.floating], table_top: float | None = Non
     """Fit a superquadric to surface points of one object, seen from one side or from all.
 
     Args:
-        points: (N, 3) metres; the third axis points up when `table_top` is given.
-        table_top: Height of the table on which the object stands, metres. The solid then reaches down to it, and the
+        points: (N, 3) meters; the third axis points up when `table_top` is given.
+        table_top: Height of the table on which the object stands, meters. The solid then reaches down to it, and the
             starts have an upright axis. None for an object in the air.
 
     Returns:
         The fit; the same points give the same fit.
 
     Raises:
-        DataError: The cloud has fewer than 20 points, is not finite, spans more than a metre, or lies on a line.
+        DataError: The cloud has fewer than 20 points, is not finite, spans more than a meter, or lies on a line.
     """
     sample = usable_sample(np.asarray(points))
     origin, size = scale_of(sample)

@@ -22,7 +22,7 @@ from icub_grasp_generators.superquadrics.shape import Superquadric
 NAME = "superquadrics"
 
 _MIN_INLIERS = 0.5
-_APPROACH = (0.0, 0.015, 0.03, 0.045)  # metres before the grasp where the open hand must be clear of the cloud
+_APPROACH = (0.0, 0.015, 0.03, 0.045)  # meters before the grasp where the open hand must be clear of the cloud
 _APPROACH_POINTS, _APPROACH_TOUCHED = 1000, 5
 _POSTURE_WEIGHT = 0.1  # cost per rad^2 of distance from the home posture
 
@@ -41,7 +41,7 @@ class Superquadrics(GraspGenerator):
         max_grasps: At most this many are returned.
         max_tries: At most this many candidates go to inverse kinematics.
 
-    Source: thesis 12.3.1; Vezzani et al. 2017 for model and costs. There one pose is found by constrained optimisation
+    Source: thesis 12.3.1; Vezzani et al. 2017 for model and costs. There one pose is found by constrained optimization
     and neither reachability nor the whole hand is looked at; here poses are enumerated, so that what fails can be
     passed over.
     """

@@ -7,7 +7,7 @@ the palm from looking down (0) to looking sideways (90 degrees),
     R(a, phi, theta) = [(cos a, sin a, 0), (sin a, -cos a, 0), (0, 0, -1)] Rx(phi) Ry(theta)   (columns of the first),
 
 where theta dips the fingers, which reaches objects that are turned away from the arm. The palm is a small gap in front
-of the solid, the solid's centre on the line between thumb and fingers, and the hand may be shifted along y. The hand is
+of the solid, the solid's center on the line between thumb and fingers, and the hand may be shifted along y. The hand is
 the right one; the left one is its mirror image (see `generator`).
 """
 
@@ -25,9 +25,9 @@ from icub_grasp_generators.superquadrics.evidence import Evidence
 from icub_grasp_generators.superquadrics.shape import Superquadric
 
 MAX_WIDTH = 0.075
-"""Metres between thumb and fingers; the opening is 0.09, of which placing and pose errors take their part."""
+"""Meters between thumb and fingers; the opening is 0.09, of which placing and pose errors take their part."""
 
-GRASP_X = 0.033  # of the solid's centre in the hand frame, between opposed thumb and closing fingers
+GRASP_X = 0.033  # of the solid's center in the hand frame, between opposed thumb and closing fingers
 GRASP_Y = -0.002
 PALM_GAP = 0.004  # between palm surface and solid
 _PALM_Z = 0.001  # the palm's surface in the hand frame
@@ -158,7 +158,7 @@ def _ellipsoid_cost(shape: Superquadric, T: FloatArray) -> FloatArray:
 
 
 def _lever_cost(shape: Superquadric, T: FloatArray) -> FloatArray:
-    """Distance of the centre from the line between thumb and fingers: a heavy object turns in the hand about it."""
+    """Distance of the center from the line between thumb and fingers: a heavy object turns in the hand about it."""
     local = np.einsum("cji,cj->ci", T[:, :3, :3], shape.center - T[:, :3, 3])
     lever = np.hypot(local[:, 1] - GRASP_Y, local[:, 2] - _FINGER_Z)
     return 10.0 * np.maximum(lever - 0.015, 0.0)

@@ -1,6 +1,6 @@
 """Values and exact Jacobians that the fit is made of, for a batch of S solids at once.
 
-The eleven parameters are: centre 0:3, rotation vector w of R exp([w]) 3:6, log half axes 6:9, exponents e1, e2 9:11.
+The eleven parameters are: center 0:3, rotation vector w of R exp([w]) 3:6, log half axes 6:9, exponents e1, e2 9:11.
 Arrays are laid out with the points last, which numpy walks fastest.
 """
 
@@ -26,7 +26,7 @@ class Solids:
 
     Attributes:
         R: (S, 3, 3) rotations.
-        vector: (S, 8) centre, log half axes, exponents.
+        vector: (S, 8) center, log half axes, exponents.
     """
 
     R: FloatArray

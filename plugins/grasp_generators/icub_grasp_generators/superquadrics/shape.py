@@ -88,9 +88,9 @@ class Superquadric:
     """One superquadric in space.
 
     Attributes:
-        half_axes: (3,) metres, above 0.
+        half_axes: (3,) meters, above 0.
         exponents: (e1, e2): e1 rounds the profile along z, e2 the cross-section; 0.05 is a box's edge, 1 an ellipse.
-        T_world_object: (4, 4) pose: the axes are the object's, the origin its centre.
+        T_world_object: (4, 4) pose: the axes are the object's, the origin its center.
     """
 
     half_axes: FloatArray
@@ -99,7 +99,7 @@ class Superquadric:
 
     def __post_init__(self) -> None:
         if self.half_axes.shape != (3,) or not np.all(self.half_axes > 0):
-            raise DataError(f"Superquadric.half_axes is {self.half_axes}; expected three lengths above 0, metres")
+            raise DataError(f"Superquadric.half_axes is {self.half_axes}; expected three lengths above 0, meters")
         if self.exponents.shape != (2,) or not np.all((self.exponents > 0) & (self.exponents < 2)):
             raise DataError(f"Superquadric.exponents is {self.exponents}; expected two values between 0 and 2")
         if not is_rigid(self.T_world_object):
@@ -107,7 +107,7 @@ class Superquadric:
 
     @property
     def center(self) -> FloatArray:
-        """(3,) centre, world, metres."""
+        """(3,) center, world, meters."""
         return self.T_world_object[:3, 3]
 
     def _norm(self, v: FloatArray, powers: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -133,16 +133,16 @@ class Superquadric:
         return self._gauge(points)[0]
 
     def distance(self, points: NDArray[np.floating]) -> FloatArray:
-        """Return the signed distance (...), metres, of world points (..., 3) to the tangent plane they project to.
+        """Return the signed distance (...), meters, of world points (..., 3) to the tangent plane they project to.
 
-        The projection is along the ray from the centre: (G - 1) / |grad G|; negative inside. It is the Euclidean
+        The projection is along the ray from the center: (G - 1) / |grad G|; negative inside. It is the Euclidean
         distance in front of flat faces and, to first order, everywhere near the surface.
         """
         norm, gradient = self._gauge(points)
         return (norm - 1.0) / np.linalg.norm(gradient, axis=-1)
 
     def gradients(self, points: NDArray[np.floating]) -> FloatArray:
-        """Return the gradients of G (..., 3), world, 1/metre, at world points (..., 3); constant along every ray."""
+        """Return the gradients of G (..., 3), world, 1/meter, at world points (..., 3); constant along every ray."""
         return self._gauge(points)[1] @ self.T_world_object[:3, :3].T
 
     def normals(self, points: NDArray[np.floating]) -> FloatArray:
@@ -151,17 +151,17 @@ class Superquadric:
         return gradient / np.linalg.norm(gradient, axis=-1, keepdims=True)
 
     def support(self, directions: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
-        """Return how far the solid reaches from its centre along unit world directions (..., 3), and where.
+        """Return how far the solid reaches from its center along unit world directions (..., 3), and where.
 
         Returns:
-            Reach (...), metres, and the points (..., 3), world, that reach furthest.
+            Reach (...), meters, and the points (..., 3), world, that reach furthest.
         """
         R = self.T_world_object[:3, :3]
         reach, by_v = self._norm(np.asarray(directions) @ R * self.half_axes, 2.0 / (2.0 - self.exponents))
         return reach, self.center + (by_v * self.half_axes) @ R.T
 
     def surface(self, count: int = 1000) -> FloatArray:
-        """Return `count` points (count, 3) on the surface, world, metres; always the same ones."""
+        """Return `count` points (count, 3) on the surface, world, meters; always the same ones."""
         # Fibonacci sphere, cast on the solid as if it were a ball: elongated solids are sampled on all their faces
         k = np.arange(count) + 0.5
         z = 1.0 - 2.0 * k / count
@@ -175,5 +175,5 @@ class Superquadric:
     def from_parts(
         cls, half_axes: FloatArray, exponents: FloatArray, R: FloatArray, center: FloatArray
     ) -> Superquadric:
-        """Build from half axes (3,), exponents (2,), rotation (3, 3) and centre (3,)."""
+        """Build from half axes (3,), exponents (2,), rotation (3, 3) and center (3,)."""
         return cls(np.asarray(half_axes, float), np.asarray(exponents, float), make_transform(R, center))

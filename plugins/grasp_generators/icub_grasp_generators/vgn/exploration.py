@@ -13,10 +13,10 @@ from icub_grasp_generators.vgn.palm import PALM_POINT, YAW
 ROLL = (np.radians(-45.0), np.radians(95.0))
 DIP = (np.radians(-45.0), 0.0)
 _OFFSET_LOW, _OFFSET_HIGH = np.array([-0.018, -0.035, 0.0]), np.array([0.012, 0.035, 0.012])
-"""Metres from the palm point to the drawn surface point, in the hand frame."""
+"""Meters from the palm point to the drawn surface point, in the hand frame."""
 _GRIP_LOW, _GRIP_HIGH = np.array([-0.02, -0.045, 0.004]), np.array([0.065, 0.05, 0.06])
 """Box in the hand frame that the closing fingers sweep."""
-LEAST_GRIPPED = 0.08
+MIN_GRIPPED = 0.08
 """Share of the object's surface points in that box below which nothing would be held."""
 
 _BETWEEN_LOW, _BETWEEN_HIGH = np.array([-0.03, -0.035, -0.02]), np.array([0.10, 0.035, 0.07])
@@ -24,9 +24,9 @@ _BETWEEN_LOW, _BETWEEN_HIGH = np.array([-0.03, -0.035, -0.02]), np.array([0.10, 
 _BEFORE_LOW, _BEFORE_HIGH = np.array([-0.05, -0.03, -0.08]), np.array([0.07, 0.03, 0.12])
 """Box around the palm in which the nearest of the surface is put before the palm."""
 _MIDDLE = (0.024, 0.040)
-"""Place of that middle along the fingers, metres in the hand frame."""
+"""Place of that middle along the fingers, meters in the hand frame."""
 _GAP = (0.0, 0.010)
-"""Metres between palm and surface."""
+"""Meters between palm and surface."""
 
 
 def draw_poses(surface: FloatArray, rng: np.random.Generator, count: int) -> FloatArray:

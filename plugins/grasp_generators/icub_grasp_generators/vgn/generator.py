@@ -17,7 +17,7 @@ from icub_core.scene import Table
 from icub_grasp_generators.clouds import CLOUD_POINTS, MAX_TOUCHED, center_of, check_cloud, thin
 from icub_grasp_generators.reach import HandGeometries, Reach, clears_table
 from icub_grasp_generators.vgn.adaptation import hand_poses
-from icub_grasp_generators.vgn.hand_search import MOST_JUDGED, around
+from icub_grasp_generators.vgn.hand_search import MAX_JUDGED, around
 from icub_grasp_generators.vgn.judge import HandJudge
 from icub_grasp_generators.vgn.network import GRIPPER, load_network
 from icub_grasp_generators.vgn.palm import at_palm
@@ -30,7 +30,7 @@ NAME = "vgn"
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # the robot's plane of symmetry
 _FLIP = np.diag([1.0, 1.0, -1.0, 1.0])  # a left hand's palm looks along -z of its frame
 _SPARE = 3  # times as many poses are tested for reach as are returned: the way to some may be blocked
-_FIELD = 0.5  # metres between the object and a camera that had to be assumed
+_FIELD = 0.5  # meters between the object and a camera that had to be assumed
 
 
 class Vgn(GraspGenerator):
@@ -91,7 +91,7 @@ class Vgn(GraspGenerator):
             return GraspProposals((), center, f"at all {len(free)} poses found the open hand meets points of the cloud")
         if self._judge is not None:
             free &= clears_table(geometry.hand.at(T_world_hand), geometry.hand.radii, table)
-            chosen = np.flatnonzero(free)[:MOST_JUDGED]
+            chosen = np.flatnonzero(free)[:MAX_JUDGED]
             if not len(chosen):
                 return GraspProposals((), center, f"at all {len(free)} poses found the open hand meets cloud or table")
             quality = np.full(len(free), -np.inf)

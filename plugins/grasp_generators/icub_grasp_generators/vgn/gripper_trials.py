@@ -26,7 +26,7 @@ VIEWS = 3
 TURNS = 6
 
 _BEYOND = 0.1  # share of the finger's length that the origin may lie under the surface, or further out than its tips
-_LOWEST_NORMAL = -0.1  # vertical part of normals that are grasped along
+_MIN_NORMAL = -0.1  # vertical part of normals that are grasped along
 _DISTANCE = (0.48, 0.72)
 _POLAR = np.pi / 4
 
@@ -59,7 +59,7 @@ class GripperTrials:
         points = np.concatenate([cloud.points for cloud in views] + [cloud.points for cloud, _ in below])
         outward = np.concatenate([*normals, *(n for _, n in below)])
         poses, widths, held = [], [], []
-        for i in rng.choice(np.flatnonzero(outward[:, 2] > _LOWEST_NORMAL), POINTS):
+        for i in rng.choice(np.flatnonzero(outward[:, 2] > _MIN_NORMAL), POINTS):
             depth = FINGER_DEPTH * rng.uniform(-_BEYOND, 1.0 + _BEYOND)
             turns = approaches(points[i] + depth * outward[i], -outward[i])
             outcomes = [world.grasp(T) for T in turns]

@@ -20,7 +20,7 @@ MAX_WIDTH = 0.08
 FINGER_DEPTH = 0.05
 PRE_GRASP = 0.05
 LIFT = 0.10
-"""Metres: opening, length of the fingers, way before the grasp and after it."""
+"""Meters: opening, length of the fingers, way before the grasp and after it."""
 
 _TIMESTEP = 0.004
 _SEGMENTS = 5  # of the approach; contact is looked for after each
@@ -31,13 +31,13 @@ _HOLD_STEPS = 15
 _SETTLE_STEPS = 60
 _STIFFNESS, _DAMPING = 4000.0, 80.0  # N/m and Ns/m of the slides, for 0.4 kg
 _FINGER_STIFFNESS, _FINGER_DAMPING, _FORCE = 3000.0, 100.0, 30.0  # closes at 0.3 m/s
-_SQUEEZE = 0.01  # metres beyond closed that the fingers are sent, so that thin things are held too
+_SQUEEZE = 0.01  # meters beyond closed that the fingers are sent, so that thin things are held too
 _HALF_FINGER = (0.01, 0.006, FINGER_DEPTH / 2)
 _HALF_PALM = (0.015, 0.06, 0.02)
 _HELD_WIDTH = 0.1  # share of the opening below which nothing is between the fingers
 _LOW_ANGLE = np.pi / 3  # from straight down; beyond it the object is lifted before the gripper goes back
 _RAYS = 96
-_RAY_FIELD = 0.13  # metres around the object that a view shows
+_RAY_FIELD = 0.13  # meters around the object that a view shows
 
 _XML = """
 <mujoco>
@@ -86,7 +86,7 @@ class Outcome:
 
     Attributes:
         held: Whether the object came up between the fingers.
-        width: Opening at which it was held, metres; the largest otherwise.
+        width: Opening at which it was held, meters; the largest otherwise.
     """
 
     held: bool
@@ -100,7 +100,7 @@ class GripperWorld:
         item: The object; its convex pieces collide.
 
     Attributes:
-        center: (3,) the object's centre of mass where it was placed, metres.
+        center: (3,) the object's center of mass where it was placed, meters.
     """
 
     def __init__(self, item: ObjectSpec) -> None:
@@ -197,7 +197,7 @@ class GripperWorld:
         return float(self._data.joint("left").qpos[0] + self._data.joint("right").qpos[0])
 
     def _touched(self) -> bool:
-        """Say whether the gripper meets object or table; the object rests on the table, which does not count."""
+        """Return True if the gripper meets object or table; the object rests on the table, which does not count."""
         bodies = self._model.geom_bodyid[np.asarray(self._data.contact.geom).reshape(-1, 2)]
         return bool(np.any(~np.isin(bodies, (0, self._object))))
 
@@ -240,7 +240,7 @@ _CORNERS = np.array(
     [(x, y, z) for x in (-0.015, 0.015) for y in (-0.06, 0.06) for z in (-0.04, 0.0)]
     + [(x, y, FINGER_DEPTH) for x in (-0.01, 0.01) for y in (-0.052, 0.052)]
 )
-"""Corners of palm and open fingers, in the gripper's frame, metres."""
+"""Corners of palm and open fingers, in the gripper's frame, meters."""
 
 
 def _meets_table(T: FloatArray) -> bool:

@@ -7,11 +7,11 @@ import numpy as np
 from icub_core.data import PointCloud
 from icub_core.geometry import FloatArray
 from icub_grasp_generators.clouds import CLOUD_POINTS, thin
-from icub_grasp_generators.vgn.exploration import LEAST_GRIPPED, draw_poses, fitted, gripped_share
+from icub_grasp_generators.vgn.exploration import MIN_GRIPPED, draw_poses, fitted, gripped_share
 
 DRAWN = 1500
 """Poses drawn around all voxels together."""
-MOST_JUDGED = 300
+MAX_JUDGED = 300
 """Of those that keep clear, at most so many are judged."""
 
 
@@ -24,4 +24,4 @@ def around(points: FloatArray, cloud: PointCloud) -> FloatArray:
     rng, surface = np.random.default_rng(0), thin(cloud.points, CLOUD_POINTS)
     drawn = draw_poses(points, rng, DRAWN)
     drawn[::2] = fitted(drawn[::2], surface, rng)
-    return drawn[gripped_share(drawn, surface) >= LEAST_GRIPPED]
+    return drawn[gripped_share(drawn, surface) >= MIN_GRIPPED]

@@ -16,11 +16,6 @@ import numpy as np
 from icub_core import registry
 from icub_core.data import Grasp, PointCloud
 from icub_core.geometry import FloatArray, look_at
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.evaluation import run_episodes
-from icub_tasks.grasping.plan import FAR, GraspPlan
-from icub_tasks.grasping.spaces import pose_vector
-from icub_tasks.grasping.task import GraspTask, StartState, TaskSettings
 from icub_core.interfaces.grasp_generator import GraspGenerator
 from icub_core.interfaces.robot import Robot
 from icub_core.interfaces.simulator import Simulator
@@ -28,10 +23,15 @@ from icub_core.scene import CameraView, Scene
 from icub_grasp_generators.clouds import CLOUD_POINTS, MAX_TOUCHED, center_of, thin
 from icub_grasp_generators.hand_geometry import read_hand_geometry
 from icub_grasp_generators.reach import Reach, clears_table
-from icub_grasp_generators.vgn.exploration import LEAST_GRIPPED, draw_poses, fitted, gripped_share
+from icub_grasp_generators.vgn.exploration import MIN_GRIPPED, draw_poses, fitted, gripped_share
 from icub_grasp_generators.vgn.palm import at_palm
 from icub_grasp_generators.vgn.trial_objects import TrialObjects
 from icub_grasp_generators.vgn.trials import TriedScene
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.evaluation import run_episodes
+from icub_tasks.grasping.plan import FAR, GraspPlan
+from icub_tasks.grasping.spaces import pose_vector
+from icub_tasks.grasping.task import GraspTask, StartState, TaskSettings
 
 log = logging.getLogger(__name__)
 
@@ -40,7 +40,7 @@ PLACEMENTS = 2
 """Places that each object is tried at."""
 TRIALS = 12
 """Grasps tried at each place."""
-LEAST_SEEN = 100
+MIN_SEEN = 100
 """Points of a view below which the object is taken to be out of sight."""
 DRAWN = 1500
 """Poses drawn for a place, before any test."""
@@ -56,9 +56,9 @@ WIDTH, HEIGHT = 240, 180
 FURTHER_VIEWS = 2
 
 _SIDES = 0.5 * np.array([[1, 0, 0.5], [-1, 0, 0.5], [0, 1, 0.5], [0, -1, 0.5]])
-"""Metres; where cameras stand that see the whole surface."""
+"""Meters; where cameras stand that see the whole surface."""
 _JITTER = 0.15
-"""Metres; half range of the places of further views around the head camera."""
+"""Meters; half range of the places of further views around the head camera."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ class HandTrials:
         views = [head.frame.to_cloud(head.segmentation == 0)]
         views += [seen_from(simulator, eye + rng.uniform(-_JITTER, _JITTER, 3), center) for _ in range(FURTHER_VIEWS)]
         surface = np.concatenate([seen_from(simulator, center + side, center).points for side in _SIDES])
-        if min(len(surface), *(len(view) for view in views)) < LEAST_SEEN:
+        if min(len(surface), *(len(view) for view in views)) < MIN_SEEN:
             log.info("%s is hardly seen where it stands", name)
             return _Place(0.0, (), [])
         starts = []
@@ -158,7 +158,7 @@ class HandTrials:
         center, cloud = center_of(seen, table.top), thin(seen, CLOUD_POINTS)
         drawn = draw_poses(cloud, rng, DRAWN)
         drawn[::2] = fitted(drawn[::2], cloud, rng)
-        drawn = drawn[gripped_share(drawn, cloud) >= LEAST_GRIPPED]
+        drawn = drawn[gripped_share(drawn, cloud) >= MIN_GRIPPED]
         drawn = drawn[clears_table(self._geometry.hand.at(drawn), self._geometry.hand.radii, table)]
         drawn = drawn[self._geometry.occupancy.count(drawn, cloud) <= MAX_TOUCHED][:TESTED]
         tries = [Grasp(T, center, float(-i), "trial") for i, T in enumerate(drawn)]

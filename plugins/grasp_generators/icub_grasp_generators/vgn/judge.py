@@ -18,12 +18,12 @@ from icub_grasp_generators.vgn.range_view import RangeView
 
 CELLS = (18, 14, 14)
 CELL = 0.01
-"""Cells of the grid along the hand's axes, and their edge in metres."""
+"""Cells of the grid along the hand's axes, and their edge in meters."""
 _LOW = np.array([-0.06, -0.07, -0.04])
 _REACH = 0.03
-"""Metres at which distances are cut off."""
+"""Meters at which distances are cut off."""
 _HIGH = 0.10
-"""Metres at which heights above the table are cut off."""
+"""Meters at which heights above the table are cut off."""
 FACTS = 7
 
 _grid = np.stack(np.meshgrid(*(np.arange(n) for n in CELLS), indexing="ij"), axis=-1)
@@ -42,7 +42,7 @@ def heights(T_world_hand: torch.Tensor, table_top: torch.Tensor) -> torch.Tensor
 
     Args:
         T_world_hand: (C, 4, 4) float32.
-        table_top: World height, metres.
+        table_top: World height, meters.
     """
     points = torch.from_numpy(_POINTS).to(T_world_hand.dtype)
     z = T_world_hand[:, 2, :3] @ points.T + (T_world_hand[:, 2, 3] - table_top)[:, None]

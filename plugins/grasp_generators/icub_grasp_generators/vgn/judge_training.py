@@ -18,7 +18,7 @@ from icub_grasp_generators.vgn.descent import descend
 from icub_grasp_generators.vgn.figures import area_under_curve
 from icub_grasp_generators.vgn.judge import HandJudge, around_hand, facts_of, heights
 from icub_grasp_generators.vgn.palm import from_palm
-from icub_grasp_generators.vgn.samples import MOST_POINTS, NOISE
+from icub_grasp_generators.vgn.samples import MAX_POINTS, NOISE
 from icub_grasp_generators.vgn.trials import TriedScene
 from icub_grasp_generators.vgn.volume import Volume
 
@@ -71,7 +71,7 @@ def cases_of(scenes: list[TriedScene], seed: int, progress: Callable[[float], No
 
 def _seen(scene: TriedScene, view: PointCloud, number: int, rng: np.random.Generator) -> Cases | None:
     """Return the trials of a scene as one view shows them; None where it shows next to nothing."""
-    points = thin(view.points, MOST_POINTS)
+    points = thin(view.points, MAX_POINTS)
     points = points + rng.normal(0.0, NOISE, points.shape)
     try:
         center = center_of(points, scene.table_top)
@@ -97,7 +97,7 @@ def fit_judge(
     """Do gradient steps on the scenes that are not held out for `seconds` over all calls."""
     torch.manual_seed(seed)
     judge = HandJudge()
-    optimiser = torch.optim.AdamW(judge.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    optimizer = torch.optim.AdamW(judge.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
     taught = [scene for scene in scenes if not scene.held_out]
     cases = cases_of(taught, seed, lambda share: progress(0.0, f"judge: looking at trials, {share:.0%}"))
 
@@ -108,7 +108,7 @@ def fit_judge(
 
     descend(
         judge.train(),
-        optimiser,
+        optimizer,
         run_dir / JUDGE_CHECKPOINT,
         seconds,
         loss_of_step,

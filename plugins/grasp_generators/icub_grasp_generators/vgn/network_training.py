@@ -25,7 +25,7 @@ LEARNING_RATE = 2e-3
 WIDTH_WEIGHT = 0.01
 """Of the squared error of the width in voxels (original)."""
 CHECKPOINT_SECONDS = 60.0
-LARGEST_GRADIENT = 5.0
+MAX_GRADIENT = 5.0
 VARIANTS = 6
 """Draws of each scene, kept; a step takes some of one's trials."""
 
@@ -92,7 +92,7 @@ def fit(
     torch.manual_seed(seed)
     network = VgnNetwork() if start_from is None else load_network(str(start_from))[0]
     network.requires_grad_(True).train()
-    optimiser = torch.optim.Adam(network.parameters(), lr=LEARNING_RATE)
+    optimizer = torch.optim.Adam(network.parameters(), lr=LEARNING_RATE)
     fields = Fields(taught, pose, seed)
 
     def loss_of_step(step: int) -> torch.Tensor:
@@ -101,13 +101,13 @@ def fit(
 
     descend(
         network,
-        optimiser,
+        optimizer,
         run_dir / f"{name}.checkpoint.safetensors",
         seconds,
         loss_of_step,
         lambda share, text: progress(share, f"{name}: {text}"),
         save_every=CHECKPOINT_SECONDS,
-        largest_gradient=LARGEST_GRADIENT,
+        largest_gradient=MAX_GRADIENT,
     )
     network.eval()
     return network.requires_grad_(False)

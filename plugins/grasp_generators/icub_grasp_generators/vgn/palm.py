@@ -7,7 +7,7 @@ import numpy as np
 from icub_core.geometry import FloatArray
 
 PALM_POINT = np.array([0.033, -0.002, 0.001])
-"""Point of the palm that faces the object's middle, in the hand frame, metres: what a voxel stands for."""
+"""Point of the palm that faces the object's middle, in the hand frame, meters: what a voxel stands for."""
 
 YAW = (np.radians(150.0), np.radians(265.0))
 """Angles of the hand's x axis about the vertical that the right arm reaches on the table, rad."""

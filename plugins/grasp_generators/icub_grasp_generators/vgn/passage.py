@@ -13,17 +13,17 @@ from icub_grasp_generators.clouds import MAX_TOUCHED, thin
 from icub_grasp_generators.hand_geometry import HandGeometry, Occupancy, Spheres
 
 _FAR, _NEAR, _AT_LAST = (0.10,), (0.085, 0.07, 0.055, 0.04), (0.025, 0.01)
-"""Metres before the grasp; at last the fingers are beside the object, and need no margin."""
+"""Meters before the grasp; at last the fingers are beside the object, and need no margin."""
 _SHARES = np.linspace(0.1, 1.0, 20)
 """Of the way of the joints from home to the first of the poses before the grasp."""
 _MARGIN = 0.005
-"""Metres that the hand keeps from the object until then."""
+"""Meters that the hand keeps from the object until then."""
 _POINTS = 1500
 """Fingers are thin: many points are needed not to miss one."""
 
 
 def passes(grasp: Grasp, points: FloatArray, robot: Robot, geometry: HandGeometry) -> bool:
-    """Say whether the hand keeps out of points (N, 3), on the way that the task takes."""
+    """Return True if the hand keeps out of points (N, 3), on the way that the task takes."""
     home = robot.description.home_q
     solution = robot.inverse_kinematics(grasp.backed_off(*_FAR), home, geometry.frame, group=f"{grasp.hand}_reach")
     way = [robot.forward_kinematics(home + share * (solution.q - home), geometry.frame) for share in _SHARES]

@@ -1,4 +1,4 @@
-"""A cloud as a picture of ranges from its viewpoint: what space is free, what is surface, what is hidden."""
+"""A cloud as a image of ranges from its viewpoint: what space is free, what is surface, what is hidden."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from icub_core.errors import DataError
 from icub_core.geometry import FloatArray, look_at
 
 _PIXELS = 128
-_SAME_SURFACE = 0.0075  # metres of range within which the points of a pixel are averaged
-_NEIGHBOURS = 4  # of eight, that a gap in the picture needs to be filled
+_SAME_SURFACE = 0.0075  # meters of range within which the points of a pixel are averaged
+_NEIGHBORS = 4  # of eight, that a gap in the image needs to be filled
 
 
 class RangeView:
-    """Resamples a cloud to a picture of ranges; distances to it are read along the rays.
+    """Resamples a cloud to a image of ranges; distances to it are read along the rays.
 
     Args:
         cloud: With its viewpoint.
-        middle: (3,) point that the picture is centred on.
-        radius: Metres around it that the picture shows.
+        middle: (3,) point that the image is centered on.
+        radius: Meters around it that the image shows.
 
     Raises:
         DataError: No viewpoint, or one closer than `radius`.
@@ -32,7 +32,7 @@ class RangeView:
         self._eye = cloud.viewpoint
         away = float(np.linalg.norm(middle - self._eye))
         if away < radius:
-            raise DataError(f"the viewpoint is {away:.2f} m from the cube's centre; expected at least {radius:.2f} m")
+            raise DataError(f"the viewpoint is {away:.2f} m from the cube's center; expected at least {radius:.2f} m")
         self._R = look_at(self._eye, middle)[:3, :3]
         self._focal = (_PIXELS / 2 - 1) / np.tan(np.arcsin(radius / away))
         self._ranges = _picture((cloud.points - self._eye) @ self._R, self._focal)
@@ -43,7 +43,7 @@ class RangeView:
         Infinite where the ray meets nothing.
 
         Args:
-            points: World, metres.
+            points: World, meters.
             table_top: World height of a table that rays beside the object end on.
         """
         local = (points - self._eye) @ self._R
@@ -58,7 +58,7 @@ class RangeView:
 
 
 def _pixels(local: FloatArray, focal: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return columns and rows (N,) of points (N, 3) in the camera's frame, clipped to the picture."""
+    """Return columns and rows (N,) of points (N, 3) in the camera's frame, clipped to the image."""
     z = np.maximum(local[:, 2:], 1e-9)
     index = np.floor(np.clip(focal * local[:, :2] / z + _PIXELS / 2, 0, _PIXELS - 1)).astype(np.intp)
     return index[:, 0], index[:, 1]
@@ -82,7 +82,7 @@ def _picture(local: FloatArray, focal: float) -> FloatArray:
 
 
 def _without_gaps(picture: FloatArray) -> FloatArray:
-    """Give empty pixels among measured ones the mean of their neighbours: clouds may be sparser than the picture."""
+    """Give empty pixels among measured ones the mean of their neighbors: clouds may be sparser than the image."""
     padded = np.pad(picture, 1, constant_values=np.inf)
     around = np.stack(
         [
@@ -95,4 +95,4 @@ def _without_gaps(picture: FloatArray) -> FloatArray:
     known = np.isfinite(around)
     count = known.sum(axis=0)
     mean = np.where(known, around, 0.0).sum(axis=0) / np.maximum(count, 1)
-    return np.where(np.isinf(picture) & (count >= _NEIGHBOURS), mean, picture)
+    return np.where(np.isinf(picture) & (count >= _NEIGHBORS), mean, picture)

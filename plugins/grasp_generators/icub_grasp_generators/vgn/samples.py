@@ -23,14 +23,14 @@ from icub_grasp_generators.vgn.trials import TriedScene
 from icub_grasp_generators.vgn.volume import RESOLUTION, VOXEL, Volume
 
 SHIFT = 0.03
-"""Metres; half range of the cube's place around the object, so that no place in it is special."""
+"""Meters; half range of the cube's place around the object, so that no place in it is special."""
 NOISE = 0.001
-"""Metres; standard deviation of the points."""
-MOST_OF_SCENE = 12
+"""Meters; standard deviation of the points."""
+MAX_OF_SCENE = 12
 """Held trials of one scene that one step uses."""
 HAND_TURN = np.radians(50.0)
 """Largest turn of a scene about the vertical where trials are a hand's."""
-MOST_POINTS = 4000
+MAX_POINTS = 4000
 """Of a view; more than the field resolves."""
 BORDER = 2
 """Voxels at the cube's faces that no grasp is learned at."""
@@ -70,7 +70,7 @@ class Draw:
     def balanced(self, rng: np.random.Generator) -> Draw:
         """Return the trials that held and as many that did not, at least two; each at most `MOST_OF_SCENE`."""
         held, missed = np.flatnonzero(self.label), np.flatnonzero(~self.label)
-        held = rng.permutation(held)[:MOST_OF_SCENE]
+        held = rng.permutation(held)[:MAX_OF_SCENE]
         part = np.concatenate([held, rng.permutation(missed)[: max(len(held), 2)]])
         return Draw(self.tsdf, self.index[part], self.label[part], self.quaternion[part], self.width[part])
 
@@ -111,7 +111,7 @@ def draw(scene: TriedScene, pose: str, rng: np.random.Generator) -> Draw | None:
 
 def _moved(view: PointCloud, T: FloatArray, rng: np.random.Generator) -> PointCloud:
     assert view.viewpoint is not None
-    points = thin(view.points, MOST_POINTS)
+    points = thin(view.points, MAX_POINTS)
     points = points @ T[:3, :3].T + rng.normal(0.0, NOISE, points.shape)
     return PointCloud(points, viewpoint=T[:3, :3] @ view.viewpoint)
 

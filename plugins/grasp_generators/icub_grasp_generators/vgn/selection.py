@@ -1,4 +1,4 @@
-"""From the network's outputs to a short list of grasps: smooth, mask, threshold, keep the best of every neighbourhood.
+"""From the network's outputs to a short list of grasps: smooth, mask, threshold, keep the best of every neighborhood.
 
 Source: Breyer et al. 2020 and the released code's detection. DIFF: there, local maxima alone are kept; a smooth quality
 has one or two, and an arm often reaches neither. Here a voxel is kept unless a better one within 1.5 cm was.

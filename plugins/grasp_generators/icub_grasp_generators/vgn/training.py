@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 
 Progress = Callable[[float, str], None]
 
-MOST_BATCHES = 100_000
+MAX_BATCHES = 100_000
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def _scenes(part: Part, run_dir: Path, seed: int, seconds: float, begun: float, 
             write_text_atomically(clock, json.dumps(used))
             progress(begun + part.trial_share * min(used / budget, 1.0), f"{part.name}: {text}")
 
-        generate(part.trials(seed), folder, MOST_BATCHES, start + budget - spent, told)
+        generate(part.trials(seed), folder, MAX_BATCHES, start + budget - spent, told)
     return [scene for path in sorted(folder.glob("*.npz")) for scene in read_trials(path)]
 
 

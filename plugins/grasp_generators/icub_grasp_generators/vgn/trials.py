@@ -27,10 +27,10 @@ class TriedScene:
 
     Attributes:
         object_index: Place of the object in its set; decides whether the scene is held out.
-        table_top: World height, metres.
+        table_top: World height, meters.
         views: Clouds of the object, one a camera, each with its viewpoint.
         poses: (G, 4, 4) poses whose origin is what a voxel stands for: a gripper's, or a hand's palm point.
-        widths: (G,) opening at the grasp, metres; 0 where a hand has none.
+        widths: (G,) opening at the grasp, meters; 0 where a hand has none.
         success: (G,) bool.
     """
 
@@ -48,7 +48,7 @@ class TriedScene:
 
 
 def is_held_out(object_index: int) -> bool:
-    """Say whether an object, by its place in its set, is never trained on."""
+    """Return True if an object, by its place in its set, is never trained on."""
     return object_index % HELD_OUT == HELD_OUT - 1
 
 

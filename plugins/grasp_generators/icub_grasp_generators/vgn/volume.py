@@ -22,10 +22,10 @@ RESOLUTION = 40
 VOXEL = SIZE / RESOLUTION
 TRUNCATION = 4 * VOXEL
 BELOW = 0.05
-"""Metres of the cube that lie below the table top: a gripper's fingers reach that far beyond its origin."""
+"""Meters of the cube that lie below the table top: a gripper's fingers reach that far beyond its origin."""
 
 _NEVER_NEAR = 0.98  # share of the truncation beyond which a voxel counts as not measured
-_FIELD = 1.05 * np.sqrt(3) / 2 * SIZE  # metres around the cube's centre that the picture must show
+_FIELD = 1.05 * np.sqrt(3) / 2 * SIZE  # meters around the cube's center that the image must show
 
 _grid = (np.stack(np.meshgrid(*3 * [np.arange(RESOLUTION)], indexing="ij"), axis=-1) + 0.5) * VOXEL
 _CENTERS: FloatArray = _grid.reshape(-1, 3)
@@ -36,7 +36,7 @@ class Volume:
     """A cube with axes along the world's.
 
     Attributes:
-        origin: (3,) world position of its lowest corner, metres.
+        origin: (3,) world position of its lowest corner, meters.
     """
 
     origin: FloatArray
@@ -61,7 +61,7 @@ class Volume:
     def tsdf(self, views: tuple[PointCloud, ...], table_top: float | None = None) -> NDArray[np.float32]:
         """Integrate views, each a cloud with its viewpoint.
 
-        Every view is resampled to a picture of ranges from its viewpoint. A voxel's distance is the range of its pixel
+        Every view is resampled to a image of ranges from its viewpoint. A voxel's distance is the range of its pixel
         less its own, along the ray; several views are averaged where they measured.
 
         Args:

@@ -19,7 +19,7 @@ class IkRequest:
 
     Attributes:
         max_iterations: Of one descent.
-        position_tolerance: Metres.
+        position_tolerance: Meters.
         orientation_tolerance: Radians.
     """
 

@@ -1,4 +1,4 @@
-"""Inverse kinematics of many targets at once: the solver of `damped_least_squares`, vectorised over the targets."""
+"""Inverse kinematics of many targets at once: the solver of `damped_least_squares`, vectorized over the targets."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Descents:
 
     Attributes:
         q: (B, n) best joint positions.
-        errors: (B, 2) position error, metres, and orientation error, rad, at q.
+        errors: (B, 2) position error, meters, and orientation error, rad, at q.
         unfinished: Rows whose descent is not over; at most FEW unless the iterations ran out.
         gain: Posture gain that their next iteration would take.
     """

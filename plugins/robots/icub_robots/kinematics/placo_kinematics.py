@@ -20,7 +20,7 @@ from icub_robots.kinematics.model import PinocchioModel
 from icub_robots.kinematics.settings import AT_LIMIT, CONVERGED, MIN_PROGRESS
 
 POSTURE_WEIGHT = 1e-6  # of staying near the start, against 1 of the pose; 1e-4 loses a tenth of the targets
-REGULARISATION = 1e-4  # of the step
+REGULARIZATION = 1e-4  # of the step
 PATIENCE = 10  # iterations without progress that end a descent
 
 
@@ -81,7 +81,7 @@ class PlacoKinematics(Kinematics):
         pose.configure(frame, "soft", 1.0, 1.0)
         posture = solver.add_joints_task()
         posture.configure("posture", "soft", POSTURE_WEIGHT)
-        solver.add_regularization_task(REGULARISATION)
+        solver.add_regularization_task(REGULARIZATION)
         for side in ("right", "left"):
             if self._cable_limits and members >= set(shoulder(side)):
                 columns, offset = self._constraint_columns()
@@ -161,7 +161,7 @@ def _cost(errors: tuple[float, float], request: IkRequest) -> float:
 
 
 def _errors(T: FloatArray, target: FloatArray) -> tuple[float, float]:
-    """Return the distance, metres, and the angle, rad, between two poses."""
+    """Return the distance, meters, and the angle, rad, between two poses."""
     turn = pin.log3(target[:3, :3] @ T[:3, :3].T)
     return float(np.linalg.norm(target[:3, 3] - T[:3, 3])), float(np.linalg.norm(turn))
 

@@ -1,7 +1,7 @@
 """Numbers of the damped least squares solvers, each chosen by measurement (benchmarks/kinematics.py)."""
 
 DAMPING = 1e-4  # added to the diagonal of J J^T; 1e-3 loses a tenth of the reachable targets
-MAX_STEP = 0.7  # rad, of any joint in one iteration: the linearisation is worth little beyond
+MAX_STEP = 0.7  # rad, of any joint in one iteration: the linearization is worth little beyond
 POSTURE_GAIN = 0.5  # share of the way back to the reference posture taken by the first iteration in the null space
 POSTURE_DECAY = 0.7  # of that share per iteration: a constant pull would keep the descent from converging
 CONVERGED = 0.1  # an iterate within this share of both tolerances ends the descent

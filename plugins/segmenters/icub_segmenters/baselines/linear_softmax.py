@@ -1,4 +1,4 @@
-"""The strongest cheap rival: a linear classifier, trained by gradient descent, on the very regions of `falkon`."""
+"""The strongest cheap baseline: a linear classifier, trained by gradient descent, on the very regions of `falkon`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.detection import OnlineDetector
 from icub_segmenters.online_segmenter import OnlineSegmenter
 
-LOWEST_LOGIT = -6.0
+MIN_LOGIT = -6.0
 """Log odds below which nothing is reported: a probability of 0.002."""
 
 
@@ -20,7 +20,7 @@ class SoftmaxDetector(OnlineDetector):
     """Scores are a class's log odds against everything else, other classes included, as a softmax layer's are."""
 
     def scores(self, X: torch.Tensor) -> torch.Tensor:
-        """Return scores (n, classes) of normalised features X (n, d), in the order of the softmax probabilities."""
+        """Return scores (n, classes) of normalized features X (n, d), in the order of the softmax probabilities."""
         against_background = super().scores(X)
         logits = torch.cat([against_background.new_zeros(len(X), 1), against_background], dim=1)
         share = functional.log_softmax(logits.double(), dim=1)[:, 1:]
@@ -29,7 +29,7 @@ class SoftmaxDetector(OnlineDetector):
 
 
 class LinearSoftmax(OnlineSegmenter):
-    """The strongest cheap rival: linear softmax classifiers on the regions that `falkon` learns from.
+    """The strongest cheap baseline: linear softmax classifiers on the regions that `falkon` learns from.
 
     Features, pasted clutter, box regressors and the combination of masks are those of `OnlineSegmenter`; only the
     classifiers differ. All negatives of the budget are seen in every epoch, so nothing is lost by choosing hard ones.
@@ -51,7 +51,7 @@ class LinearSoftmax(OnlineSegmenter):
             feature_extractor: Proposes and describes regions.
             online_head: Gives an untrained classifier whose scores are log odds: ``linear``.
             negatives: Background regions trained on at most.
-            composites: Pictures with pasted clutter made of every observed frame; 0 for none.
+            composites: Images with pasted clutter made of every observed frame; 0 for none.
             masks: ``"online"``, ``"pretrained"`` or ``"combined"``.
             seed: Decides everything random.
         """
@@ -64,5 +64,5 @@ class LinearSoftmax(OnlineSegmenter):
             masks=masks,
             seed=seed,
         )
-        self.lowest_score = LOWEST_LOGIT
+        self.lowest_score = MIN_LOGIT
         self.detector = SoftmaxDetector(online_head, self.procedure, shared=True, repool=False)

@@ -45,7 +45,7 @@ class MaskRcnn(Segmenter):
     """The upper bound by back-propagation: backbone, proposals and all heads go on training on the TARGET-TASK.
 
     It starts from the pre-trained compact network with a fresh classification layer; statistics of the batch
-    normalisation stay as they are, since small batches of one task would spoil them. Like the network itself it refines
+    normalization stay as they are, since small batches of one task would spoil them. Like the network itself it refines
     boxes and draws masks without regard to the class. With one epoch and `shuffle` off it learns from the stream as
     it comes (thesis tables 11.9 and 11.10).
     """
@@ -77,7 +77,7 @@ class MaskRcnn(Segmenter):
             raise ConfigError(f"epochs is {epochs}; expected at least 1")
         path = SHIPPED / f"{weights}.safetensors" if weights == Path(weights).stem else Path(weights)
         self._pretrained, *statistics = load_compact(path)
-        self._statistics = statistics[0], statistics[1]  # centre and scale of the region features
+        self._statistics = statistics[0], statistics[1]  # center and scale of the region features
         self.epochs, self.learning_rate, self.weight_decay = epochs, learning_rate, weight_decay
         self.shuffle, self.seed = shuffle, seed
         self._store = FrameStore()

@@ -27,7 +27,7 @@ class OnlineObjectSegmentation(OnlineSegmenter):
 
         Args:
             feature_extractor: Proposes and describes regions.
-            online_head: Gives an untrained classifier; the thesis chooses centres with ``selection=balanced``.
+            online_head: Gives an untrained classifier; the thesis chooses centers with ``selection=balanced``.
             batches: Batches of negatives a class (n_B).
             batch_size: Negatives in a batch (BS).
             seed: Decides everything random.

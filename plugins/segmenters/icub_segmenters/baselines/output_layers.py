@@ -29,8 +29,8 @@ from icub_segmenters.sampling import sample
 FILE = "output_layers.safetensors"
 REGIONS, POSITIVE_SHARE = 64, 0.25
 """Regions a step learns from, as in Mask R-CNN."""
-LOWEST_SCORE, NMS_IOU, MOST_DETECTIONS = 0.05, 0.5, 100
-SMALLEST_MASK = 20
+MIN_SCORE, NMS_IOU, MAX_DETECTIONS = 0.05, 0.5, 100
+MIN_MASK = 20
 
 
 class _OutputLayers(nn.Module):
@@ -47,10 +47,10 @@ class _OutputLayers(nn.Module):
 
 
 class OutputLayers(Segmenter):
-    """The rival by back-propagation: backbone, region proposals and feature layers frozen, output layers trained anew.
+    """The baseline by back-propagation: backbone, region proposals and feature layers frozen, output layers trained anew.
 
     Frames are kept and visited again in every epoch, each a step of its own. Adam is used where the thesis uses SGD:
-    it needs fewer epochs here and so makes the rival stronger. With `store_features` the frozen part runs once a
+    it needs fewer epochs here and so makes the baseline stronger. With `store_features` the frozen part runs once a
     frame, while frames arrive (thesis table 11.9, "store features"); with one epoch and `shuffle` off this is learning
     from the stream as it comes.
     """
@@ -106,7 +106,7 @@ class OutputLayers(Segmenter):
 
         Raises:
             NotFittedError: No instance was ever observed.
-            DataError: The features of a frame are not finite; it is dropped, and what was learnt before stays.
+            DataError: The features of a frame are not finite; it is dropped, and what was learned before stays.
         """
         counts = self._store.counts()
         start = time.perf_counter()
@@ -137,10 +137,10 @@ class OutputLayers(Segmenter):
             image = self.extractor.extract(frame.rgb)
             X = self.extractor.region_features(image, image.proposals)
             scores = self._layers.scores(X).softmax(dim=1)[:, 1:]
-            rows, labels = torch.nonzero(scores > LOWEST_SCORE, as_tuple=True)
+            rows, labels = torch.nonzero(scores > MIN_SCORE, as_tuple=True)
             deltas = self._layers.boxes(X[rows]).view(len(rows), -1, 4)[torch.arange(len(rows)), labels]
             boxes, score = decode(image.proposals[rows], deltas, image.image_size), scores[rows, labels]
-            kept = batched_nms(boxes, score, labels, NMS_IOU)[:MOST_DETECTIONS]
+            kept = batched_nms(boxes, score, labels, NMS_IOU)[:MAX_DETECTIONS]
             boxes, labels, score = boxes[kept], labels[kept], score[kept]
             logits = self._layers.masks(self.extractor.mask_features(image, boxes))
             values = logits[torch.arange(len(boxes)), :, :, labels].sigmoid()
@@ -149,7 +149,7 @@ class OutputLayers(Segmenter):
         return tuple(
             Instance(self._trained[label], s, box.double().numpy(), mask.numpy())
             for label, s, box, mask in zip(labels.tolist(), score.tolist(), boxes, masks, strict=True)
-            if int(mask.sum()) >= SMALLEST_MASK
+            if int(mask.sum()) >= MIN_MASK
         )
 
     def save(self, path: Path) -> None:

@@ -21,9 +21,9 @@ from icub_segmenters.feature_extractors.network import MASK_SIZE as NETWORK_MASK
 from icub_segmenters.feature_extractors.region_network import RegionExtractor, RegionNetwork, check_sizes
 from icub_segmenters.feature_extractors.weights import SHIPPED, fill, read_safetensors
 
-LOW_GRID, COLOUR_GRID = 2, 4
-# fc6, fc7, pooled FPN, pooled stride-4 map, pooled colours; blocks of equal norm
-BLOCKS = (BOX_DIM, BOX_DIM, FPN_CHANNELS, WIDTHS[0] * LOW_GRID**2, 3 * COLOUR_GRID**2)
+LOW_GRID, COLOR_GRID = 2, 4
+# fc6, fc7, pooled FPN, pooled stride-4 map, pooled colors; blocks of equal norm
+BLOCKS = (BOX_DIM, BOX_DIM, FPN_CHANNELS, WIDTHS[0] * LOW_GRID**2, 3 * COLOR_GRID**2)
 CENTER, SCALE = "statistics.center", "statistics.scale"
 
 
@@ -31,7 +31,7 @@ CENTER, SCALE = "statistics.center", "statistics.scale"
 class _CompactMaps:
     pyramid: dict[str, torch.Tensor]
     low: torch.Tensor  # (1, 32, h/4, w/4)
-    colours: torch.Tensor  # (1, 3, h/4, w/4)
+    colors: torch.Tensor  # (1, 3, h/4, w/4)
     size: tuple[int, int]
 
 
@@ -52,7 +52,7 @@ class CompactRegions(RegionNetwork):
         """Prepare a trained network for use.
 
         Args:
-            network: Trained; batch normalisation is folded into the convolutions.
+            network: Trained; batch normalization is folded into the convolutions.
             center: (816,) mean of raw region features.
             scale: (816,) factor that brings every block to norm 1 on average.
             image_size: Height and width of the area into which images are scaled.
@@ -75,24 +75,24 @@ class CompactRegions(RegionNetwork):
         """Backbone, RPN and low-level maps of an image (3, h, w) 0..255."""
         batch = image[None]
         pyramid, low, boxes, scores = self._network.propose(batch)
-        colours = functional.avg_pool2d(batch / 255.0, 4, ceil_mode=True, count_include_pad=False)
+        colors = functional.avg_pool2d(batch / 255.0, 4, ceil_mode=True, count_include_pad=False)
         whole = {name: level.contiguous() for name, level in pyramid.items()}  # once, and not at every pooling
-        maps = _CompactMaps(whole, low.contiguous(), colours, (image.shape[1], image.shape[2]))
+        maps = _CompactMaps(whole, low.contiguous(), colors, (image.shape[1], image.shape[2]))
         return maps, boxes, scores
 
     def _pooled(self, maps: _CompactMaps, boxes: torch.Tensor) -> torch.Tensor:
         return self._network.roi_heads.box_roi_pool(maps.pyramid, [boxes], [maps.size])
 
     def raw_features(self, maps: _CompactMaps, boxes: torch.Tensor) -> torch.Tensor:
-        """The five blocks (N, 816) before centring and scaling."""
+        """The five blocks (N, 816) before centering and scaling."""
         pooled = self._pooled(maps, boxes)
         first, second = self._network.roi_heads.box_head.layers(pooled)
         low = roi_align(maps.low, [boxes], LOW_GRID, 0.25, sampling_ratio=4, aligned=True)
-        colours = roi_align(maps.colours, [boxes], COLOUR_GRID, 0.25, sampling_ratio=2, aligned=True)
-        return torch.cat([first, second, pooled.mean((2, 3)), low.flatten(1), colours.flatten(1)], dim=1)
+        colors = roi_align(maps.colors, [boxes], COLOR_GRID, 0.25, sampling_ratio=2, aligned=True)
+        return torch.cat([first, second, pooled.mean((2, 3)), low.flatten(1), colors.flatten(1)], dim=1)
 
     def describe(self, maps: _CompactMaps, boxes: torch.Tensor) -> torch.Tensor:
-        """Centred blocks (N, 816), each of average norm 1."""
+        """Centered blocks (N, 816), each of average norm 1."""
         return (self.raw_features(maps, boxes) - self._center) * self._scale
 
     def _mask_features(self, maps: _CompactMaps, boxes: torch.Tensor) -> torch.Tensor:
@@ -140,7 +140,7 @@ class CompactRegions(RegionNetwork):
 
 
 def fold_batch_norm(network: CompactNetwork) -> CompactNetwork:
-    """Replace every convolution followed by batch normalisation by one convolution, in place."""
+    """Replace every convolution followed by batch normalization by one convolution, in place."""
     for parent in list(network.modules()):
         for name, child in list(parent.named_children()):
             if isinstance(child, nn.Sequential) and len(child) == 2:
@@ -151,7 +151,7 @@ def fold_batch_norm(network: CompactNetwork) -> CompactNetwork:
 
 
 def load_compact(path: Path) -> tuple[CompactNetwork, torch.Tensor, torch.Tensor]:
-    """Read a weight file: network (batch normalisation not folded), centre and scale of the region features.
+    """Read a weight file: network (batch normalization not folded), center and scale of the region features.
 
     Raises:
         WeightsError: Missing, truncated, of another architecture, or with wrong shapes.
@@ -220,7 +220,7 @@ class CompactMaskRcnn(RegionExtractor):
 
 
 def calibrate(network: CompactNetwork, images: list[torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Measure the centre (816,) and scale (816,) of raw region features on the proposals of images.
+    """Measure the center (816,) and scale (816,) of raw region features on the proposals of images.
 
     Args:
         network: Trained; not changed.

@@ -19,7 +19,7 @@ from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.feature_extractor import FeatureExtractor
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn, CompactRegions
 
-SCORE_THRESHOLD, NMS_IOU, MOST_DETECTIONS = 0.05, 0.5, 50
+SCORE_THRESHOLD, NMS_IOU, MAX_DETECTIONS = 0.05, 0.5, 50
 
 
 def paste(mask: NDArray[np.float32], box: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.bool_]:
@@ -27,7 +27,7 @@ def paste(mask: NDArray[np.float32], box: NDArray[np.float64], size: tuple[int, 
     side = mask.shape[0]
     height, width = size
     x0, y0, x1, y1 = box
-    # coordinates of the pixel centres in the grid of the mask, whose cells' centres are at 0.5, 1.5, ...
+    # coordinates of the pixel centers in the grid of the mask, whose cells' centers are at 0.5, 1.5, ...
     xs = ((np.arange(width) + 0.5 - x0) / max(x1 - x0, 1e-3) * side - 0.5).astype(np.float32)
     ys = ((np.arange(height) + 0.5 - y0) / max(y1 - y0, 1e-3) * side - 0.5).astype(np.float32)
     left, right = int(max(np.floor(x0), 0)), int(min(np.ceil(x1), width))
@@ -50,7 +50,7 @@ def detect(extractor: CompactMaskRcnn, rgb: NDArray[np.uint8], classes: tuple[st
     refined = regions.refine(content, boxes)
     region, label = torch.nonzero(scores > SCORE_THRESHOLD, as_tuple=True)
     values = scores[region, label]
-    kept = batched_nms(refined[region], values, label, NMS_IOU)[:MOST_DETECTIONS]
+    kept = batched_nms(refined[region], values, label, NMS_IOU)[:MAX_DETECTIONS]
     region, label, values = region[kept], label[kept], values[kept]
     if not len(region):
         return ()

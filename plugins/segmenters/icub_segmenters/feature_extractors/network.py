@@ -199,7 +199,7 @@ class CompactNetwork(nn.Module):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
 
     @staticmethod
-    def normalise(images: torch.Tensor) -> torch.Tensor:
+    def normalize(images: torch.Tensor) -> torch.Tensor:
         """Bring images (B, 3, H, W) from 0..255 to about -2..2."""
         return (images.float() / 255.0 - _MEAN) / _STD
 
@@ -212,7 +212,7 @@ class CompactNetwork(nn.Module):
         """
         sizes = [(images.shape[2], images.shape[3])] * len(images)
         # float32 on purpose: bfloat16 took 143 instead of 103 ms of one core an image where it was measured (no AMX)
-        maps, _ = self.backbone(self.normalise(images).contiguous(memory_format=torch.channels_last))
+        maps, _ = self.backbone(self.normalize(images).contiguous(memory_format=torch.channels_last))
         boxes, rpn = self.rpn(ImageList(images, sizes), maps, targets)
         heads = self.roi_heads.losses(maps, boxes, sizes, targets)
         return {"objectness": rpn["loss_objectness"], "rpn_box": rpn["loss_rpn_box_reg"], **heads}
@@ -221,7 +221,7 @@ class CompactNetwork(nn.Module):
         self, images: torch.Tensor
     ) -> tuple[OrderedDict[str, torch.Tensor], torch.Tensor, torch.Tensor, torch.Tensor]:
         """Run backbone and RPN on one image (1, 3, H, W) uint8: maps, stride-4 map, proposals (P, 4), scores (P,)."""
-        maps, low = self.backbone(self.normalise(images).contiguous(memory_format=torch.channels_last))
+        maps, low = self.backbone(self.normalize(images).contiguous(memory_format=torch.channels_last))
         sizes = [(images.shape[2], images.shape[3])]
         features = list(maps.values())
         objectness, deltas = self.rpn.head(features)

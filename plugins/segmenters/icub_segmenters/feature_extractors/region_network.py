@@ -71,7 +71,7 @@ class _Maps:
 
 
 def as_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return (H, W, 3) uint8 of a colour image, a grey one (H, W) or (H, W, 1), or one with alpha (dropped).
+    """Return (H, W, 3) uint8 of a color image, a gray one (H, W) or (H, W, 1), or one with alpha (dropped).
 
     Raises:
         DataError: For any other shape or type, or an empty image.
@@ -122,7 +122,7 @@ class RegionExtractor(FeatureExtractor):
         """Run backbone and region proposals.
 
         Args:
-            rgb: (H, W, 3) uint8 of any size; grey images are repeated, alpha is dropped.
+            rgb: (H, W, 3) uint8 of any size; gray images are repeated, alpha is dropped.
 
         Raises:
             DataError: For another type or shape, or an empty image.

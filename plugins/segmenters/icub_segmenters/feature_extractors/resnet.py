@@ -19,11 +19,11 @@ _NOT_WEIGHTS = ("pixel_mean", "pixel_std", "proposal_generator.anchor_generator.
 
 
 class Norm(FrozenBatchNorm2d):
-    """Batch normalisation with fixed statistics; torchvision's COCO weights were made with eps 0, Detectron2's 1e-5."""
+    """Batch normalization with fixed statistics; torchvision's COCO weights were made with eps 0, Detectron2's 1e-5."""
 
 
 def resnet50(layout: str) -> ResNet:
-    """Build ResNet-50 with frozen normalisation and random weights.
+    """Build ResNet-50 with frozen normalization and random weights.
 
     Args:
         layout: With "detectron2" the stride of a stage sits in the first 1x1 convolution (the original of He et al.

@@ -1,7 +1,7 @@
 """Mask R-CNN with ResNet-50-C4, the thesis's extractor: 1024 RPN, 2048 region and 256 mask features, 15 anchors.
 
 Differences from the thesis, which used Caffe2's weights through another library: Detectron2's checkpoint of the same
-network (``mask_rcnn_R_50_C4``), its pixel conventions (no "+1" widths, RoIAlign at pixel centres), its image mean.
+network (``mask_rcnn_R_50_C4``), its pixel conventions (no "+1" widths, RoIAlign at pixel centers), its image mean.
 Images are scaled to a shorter side of 600 pixels and 300 proposals are kept, as in the thesis.
 """
 

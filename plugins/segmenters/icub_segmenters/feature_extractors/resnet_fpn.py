@@ -117,7 +117,7 @@ class FpnRegions(RegionNetwork):
         """Use a model; see `load`."""
         self._model: Any = freeze(model)
         self._layout, self._image_size = layout, image_size
-        # Detectron2 samples at pixel centres; torchvision's weights were trained with the older convention
+        # Detectron2 samples at pixel centers; torchvision's weights were trained with the older convention
         self._aligned, self._samples = (True, 0) if layout == DETECTRON else (False, 2)
         model.rpn._post_nms_top_n["testing"] = proposals
 

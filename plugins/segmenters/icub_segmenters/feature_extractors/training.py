@@ -127,7 +127,7 @@ def boxes_of(masks: torch.Tensor) -> torch.Tensor:
 
 
 class _Trainer:
-    """One worker's network, optimiser and average; worker 0 also keeps the checkpoint."""
+    """One worker's network, optimizer and average; worker 0 also keeps the checkpoint."""
 
     def __init__(self, state: TrainingState) -> None:
         torch.manual_seed(state.seed)
@@ -135,7 +135,7 @@ class _Trainer:
         self.network = CompactNetwork(state.label_count).to(memory_format=torch.channels_last).train()
         self.average: nn.Module = copy.deepcopy(self.network).eval().requires_grad_(False)
         self.parameters = dict(self.network.named_parameters())
-        self.optimiser = torch.optim.AdamW(
+        self.optimizer = torch.optim.AdamW(
             self.parameters.values(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY, fused=True
         )
 
@@ -146,7 +146,7 @@ class _Trainer:
         torch.manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
         images, targets = make_batch(task, np.random.default_rng(seed), BATCH)
         losses = self.network.losses(images, targets)
-        self.optimiser.zero_grad(set_to_none=True)
+        self.optimizer.zero_grad(set_to_none=True)
         sum(losses.values()).backward()  # type: ignore[union-attr]
         return {name: float(value.detach()) for name, value in losses.items()}
 
@@ -170,11 +170,11 @@ class _Trainer:
         return seconds
 
     def apply(self, rate: float, rank: int) -> None:
-        """Take the optimiser's step and update the moving average of weights and statistics."""
+        """Take the optimizer's step and update the moving average of weights and statistics."""
         nn.utils.clip_grad_norm_(list(self.parameters.values()), CLIP_NORM)
-        for group in self.optimiser.param_groups:
+        for group in self.optimizer.param_groups:
             group["lr"] = rate
-        self.optimiser.step()
+        self.optimizer.step()
         if rank == 0:
             keep = min(EMA_DECAY, (1 + self.state.step) / (10 + self.state.step))
             with torch.no_grad():
@@ -193,7 +193,7 @@ class _Trainer:
         tensors = {f"network.{k}": v for k, v in self.network.state_dict().items()}
         tensors |= {f"average.{k}": v for k, v in self.average.state_dict().items()}
         for name, parameter in self.parameters.items():
-            memory = self.optimiser.state.get(parameter, {})
+            memory = self.optimizer.state.get(parameter, {})
             tensors |= {f"adam.{key}.{name}": value for key, value in memory.items()}
         write_safetensors(path, tensors, {"state": json.dumps(asdict(self.state))})
 
@@ -219,8 +219,8 @@ class _Trainer:
         self.average.load_state_dict(parts["average"])
         for name, parameter in self.parameters.items():
             memory = {key: parts["adam"][f"{key}.{name}"] for key in ("step", "exp_avg", "exp_avg_sq")}
-            # the moments get the memory layout of their weight, as the fused optimiser wants it
-            self.optimiser.state[parameter] = {
+            # the moments get the memory layout of their weight, as the fused optimizer wants it
+            self.optimizer.state[parameter] = {
                 key: torch.empty_like(parameter).copy_(v).detach() if v.ndim else v for key, v in memory.items()
             }
 

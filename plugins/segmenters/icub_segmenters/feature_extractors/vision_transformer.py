@@ -34,7 +34,7 @@ class _Mlp(nn.Module):
 
 
 class _Scale(nn.Module):
-    """One learnt factor a channel on a residual branch (Touvron et al. 2021)."""
+    """One learned factor a channel on a residual branch (Touvron et al. 2021)."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()
@@ -97,7 +97,7 @@ class VisionTransformer(nn.Module):
         return torch.cat([first, grid.flatten(2).transpose(1, 2)], dim=1)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Map normalised images (B, 3, 14 h, 14 w) to the last layer's patch features (B, dim, h, w)."""
+        """Map normalized images (B, 3, 14 h, 14 w) to the last layer's patch features (B, dim, h, w)."""
         patches = self.patch_embed.proj(images)
         height, width = patches.shape[2:]
         tokens = torch.cat([self.cls_token.expand(len(images), -1, -1), patches.flatten(2).transpose(1, 2)], dim=1)

@@ -1,4 +1,4 @@
-"""Which samples become Nystrom centres."""
+"""Which samples become Nystrom centers."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ SELECTIONS = ("uniform", "balanced")
 
 
 def check_selection(name: str) -> None:
-    """Raise ConfigError unless `name` is a way of choosing centres."""
+    """Raise ConfigError unless `name` is a way of choosing centers."""
     if name not in SELECTIONS:
-        raise ConfigError(unknown_name("choice of centres", name, SELECTIONS))
+        raise ConfigError(unknown_name("choice of centers", name, SELECTIONS))
 
 
 def uniform_centers(n: int, count: int, generator: torch.Generator) -> torch.Tensor:
@@ -26,12 +26,12 @@ def balanced_centers(Y: torch.Tensor, count: int, generator: torch.Generator) ->
     """Choose up to count x t / (t + 1) positives, evenly over the t problems, and fill up with negatives.
 
     Background counts as one more class. For one problem this is min(|P|, M / 2) positives and the rest negatives
-    (thesis 5.3), drawn without replacement: the released code draws with replacement and so wastes centres on
+    (thesis 5.3), drawn without replacement: the released code draws with replacement and so wastes centers on
     duplicates. Where negatives are too few, positives fill up.
 
     Args:
         Y: (n, t) targets; above 0 is positive.
-        count: Centres wanted (M).
+        count: Centers wanted (M).
         generator: Decides the draw.
 
     Returns:

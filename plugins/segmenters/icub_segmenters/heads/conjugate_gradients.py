@@ -1,7 +1,7 @@
 """FALKON's preconditioned conjugate gradients on the Nystrom normal equations, many right-hand sides at once.
 
 Source: Rudi, Carratino, Rosasco, "FALKON: an optimal large scale kernel method", NIPS 2017, algorithm 1. The
-preconditioner is factorised in float64, so that it needs next to no jitter: the solution is that of the normal
+preconditioner is factorized in float64, so that it needs next to no jitter: the solution is that of the normal
 equations themselves, not of a system with the library's extra ridge of lambda n eps M.
 """
 
@@ -27,7 +27,7 @@ USUAL_ITERATIONS = 20
 
 
 def is_cheaper_than_direct(n: int, M: int, problems: int) -> bool:
-    """Compare the arithmetic of about 20 iterations with that of forming and factorising the Gram matrix.
+    """Compare the arithmetic of about 20 iterations with that of forming and factorizing the Gram matrix.
 
     Both first compute the kernel rows. Direct then takes 1.25 n M^2 + M^3 / 3, an iteration 4 n M max(problems, 40).
     """
@@ -80,7 +80,7 @@ def solve_by_conjugate_gradients(
     lam: float,
     sample_weight: torch.Tensor | None = None,
 ) -> torch.Tensor:
-    """Return alpha (M, t) of samples X (n, d), targets Y (n, t) and centres (M, d), in the centres' dtype."""
+    """Return alpha (M, t) of samples X (n, d), targets Y (n, t) and centers (M, d), in the centers' dtype."""
     M = len(centers)
     root_weight = None if sample_weight is None else sample_weight.sqrt()
     n = float(len(X)) if sample_weight is None else float(sample_weight.sum())

@@ -35,11 +35,11 @@ class _FalkonEstimator(BaseEstimator):
             kernel: ``"gaussian"``, ``"laplacian"`` or ``"linear"``.
             sigma: Width of the kernel; None: the root of half the number of features times their variance, which is
                 scikit-learn's ``gamma="scale"``.
-            lam: Regulariser, multiplied by the number of samples.
-            centers: Number of Nystrom centres.
+            lam: Regularizer, multiplied by the number of samples.
+            centers: Number of Nystrom centers.
             selection: ``"uniform"`` or ``"balanced"``.
             solver: ``"auto"``, ``"direct"`` or ``"conjugate_gradients"``.
-            random_state: Decides the centres.
+            random_state: Decides the centers.
             device: Where to compute.
         """
         self.kernel = kernel
@@ -52,7 +52,7 @@ class _FalkonEstimator(BaseEstimator):
         self.device = device
 
     def _fit_head(self, X: NDArray[Any], Y: NDArray[Any], sample_weight: NDArray[Any] | None) -> None:
-        if sample_weight is not None:  # a sample without weight is no sample, not even a centre
+        if sample_weight is not None:  # a sample without weight is no sample, not even a center
             counted = sample_weight > 0
             X, Y, sample_weight = X[counted], Y[counted], sample_weight[counted]
         width = self.sigma
@@ -73,7 +73,7 @@ class _FalkonEstimator(BaseEstimator):
             device=self.device,
         )
         weight = None if sample_weight is None else torch.as_tensor(sample_weight)
-        # few samples are all centres: once each, so that repeating a sample equals doubling its weight
+        # few samples are all centers: once each, so that repeating a sample equals doubling its weight
         centers = torch.as_tensor(np.unique(X, axis=0)) if len(X) <= self.centers else None
         self.head_.fit(torch.tensor(X), torch.as_tensor(Y), weight, centers)
 
@@ -86,9 +86,9 @@ class _FalkonEstimator(BaseEstimator):
 
 
 class FalkonRegressor(RegressorMixin, _FalkonEstimator):
-    """Kernel ridge regression on Nystrom centres; one or several targets.
+    """Kernel ridge regression on Nystrom centers; one or several targets.
 
-    float64 samples are solved in float64, float32 samples in float32 with float64 factorisations.
+    float64 samples are solved in float64, float32 samples in float32 with float64 factorizations.
     """
 
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> FalkonRegressor:
@@ -99,8 +99,8 @@ class FalkonRegressor(RegressorMixin, _FalkonEstimator):
         self.flat_ = targets.ndim == 1
         # the mean needs no kernel to explain it
         self.offset_ = np.average(targets, axis=0, weights=weight)
-        centred = targets - self.offset_
-        self._fit_head(samples, centred[:, None] if self.flat_ else centred, weight)
+        centered = targets - self.offset_
+        self._fit_head(samples, centered[:, None] if self.flat_ else centered, weight)
         return self
 
     def predict(self, X: ArrayLike) -> NDArray[Any]:
@@ -116,7 +116,7 @@ class FalkonRegressor(RegressorMixin, _FalkonEstimator):
 
 
 class FalkonClassifier(ClassifierMixin, _FalkonEstimator):
-    """One-vs-rest kernel ridge classifiers on shared samples and centres, as the on-line detector uses them."""
+    """One-vs-rest kernel ridge classifiers on shared samples and centers, as the on-line detector uses them."""
 
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> FalkonClassifier:
         """Train on X (n, d) and class labels y (n,)."""

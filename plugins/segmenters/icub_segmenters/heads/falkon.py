@@ -1,4 +1,4 @@
-"""FALKON: kernel ridge regression on Nystrom centres, in pure torch."""
+"""FALKON: kernel ridge regression on Nystrom centers, in pure torch."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ SOLVERS = ("auto", "direct", "conjugate_gradients")
 
 
 class Falkon(OnlineHead):
-    """Kernel ridge regression on Nystrom centres, many problems in one solve.
+    """Kernel ridge regression on Nystrom centers, many problems in one solve.
 
-    f(x) = sum_m alpha_m k(x, c_m) minimises 1/n sum_i (f(x_i) - y_i)^2 + lambda |f|^2 over the span of the centres c_m.
+    f(x) = sum_m alpha_m k(x, c_m) minimizes 1/n sum_i (f(x_i) - y_i)^2 + lambda |f|^2 over the span of the centers c_m.
 
-    All problems (columns of Y) share samples, centres, kernel rows and the factorisation. Samples in float32 give
+    All problems (columns of Y) share samples, centers, kernel rows and the factorization. Samples in float32 give
     float32 kernel rows with the M x M algebra in float64; samples in float64 stay float64 throughout.
 
-    Source: thesis 5.2 (eq. 5.2 to 5.4); Rudi, Carratino, Rosasco, NIPS 2017. The regulariser is lambda n K_MM, as in
+    Source: thesis 5.2 (eq. 5.2 to 5.4); Rudi, Carratino, Rosasco, NIPS 2017. The regularizer is lambda n K_MM, as in
     the FALKON library.
     """
 
@@ -44,15 +44,15 @@ class Falkon(OnlineHead):
         Args:
             kernel: ``"gaussian"``, ``"laplacian"`` or ``"linear"``.
             sigma: Width of the kernel.
-            lam: Regulariser lambda; it is multiplied by the number of samples.
-            centers: Number M of Nystrom centres; all samples where there are fewer.
+            lam: Regularizer lambda; it is multiplied by the number of samples.
+            centers: Number M of Nystrom centers; all samples where there are fewer.
             selection: ``"uniform"``, or ``"balanced"``: evenly over the classes and background (thesis 5.3).
             solver: ``"direct"`` (Cholesky), ``"conjugate_gradients"``, or ``"auto"``: what costs less.
-            seed: Decides the centres.
+            seed: Decides the centers.
             device: Where to compute, such as ``"cpu"`` or ``"cuda"``.
         """
         if not lam > 0:
-            raise ConfigError(f"lam is {lam}; expected a regulariser above 0")
+            raise ConfigError(f"lam is {lam}; expected a regularizer above 0")
         if centers < 1:
             raise ConfigError(f"centers is {centers}; expected at least 1")
         if solver not in SOLVERS:
@@ -83,13 +83,13 @@ class Falkon(OnlineHead):
             X: Samples.
             Y: Targets, usually +1 and -1.
             sample_weight: (n,); weight 2 counts as the same sample twice, also in lambda n.
-            centers: (M, d) centres to use instead of drawing them from X.
+            centers: (M, d) centers to use instead of drawing them from X.
         """
         check_training_set(X, Y, sample_weight, who="falkon")
         if centers is None:
             centers = X[self.choose_centers(Y)]
         else:
-            check_samples(centers, X.shape[1], who="falkon centres")
+            check_samples(centers, X.shape[1], who="falkon centers")
         precision = torch.float64 if X.dtype == torch.float64 else torch.float32  # half is too coarse to compute in
         centers = centers.to(self.device, precision, copy=True)
         with fast_products(self.device):
@@ -104,7 +104,7 @@ class Falkon(OnlineHead):
             self.adopt(system)
 
     def choose_centers(self, Y: torch.Tensor) -> torch.Tensor:
-        """Draw the indices of the centres among samples with targets Y (n, t)."""
+        """Draw the indices of the centers among samples with targets Y (n, t)."""
         generator = torch.Generator().manual_seed(self.seed)
         if self.selection == "balanced":
             return balanced_centers(Y.cpu(), self.number_of_centers, generator)
@@ -116,7 +116,7 @@ class Falkon(OnlineHead):
             self._set(system.centers, system.solve(self.lam), system)
 
     def partial_fit(self, X: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
-        """Add samples X (n, d) to those fitted, centres unchanged; equals a fit on all of them with these centres.
+        """Add samples X (n, d) to those fitted, centers unchanged; equals a fit on all of them with these centers.
 
         Y (n, t') may have more columns than before: the new problems take every earlier sample as a negative (-1).
         Before the first fit this is `fit`.
@@ -141,12 +141,12 @@ class Falkon(OnlineHead):
         self.adopt(self._system)
 
     def extend_centers(self, centers: torch.Tensor, X: torch.Tensor, Y: torch.Tensor) -> None:
-        """Append centres to a fitted head; equals a fit on the same samples with all the centres.
+        """Append centers to a fitted head; equals a fit on the same samples with all the centers.
 
         Only the new rows and columns of the normal equations are computed: n m (M + m) products, not n (M + m)^2.
 
         Args:
-            centers: (m, d) further centres.
+            centers: (m, d) further centers.
             X: (n, d) all samples so far, those of `partial_fit` included.
             Y: (n, t) their targets.
 
@@ -158,7 +158,7 @@ class Falkon(OnlineHead):
             raise ConfigError("extend_centers needs solver='direct' and a head that was fitted in this process")
         check_training_set(X, Y, who="falkon")
         check_samples(X, self._system.centers.shape[1], who="falkon")
-        check_samples(centers, self._system.centers.shape[1], who="falkon centres")
+        check_samples(centers, self._system.centers.shape[1], who="falkon centers")
         if len(X) != self._system.weight or Y.shape[1] != self._system.problems:
             raise DataError(
                 f"extend_centers got X {tuple(X.shape)} and Y {tuple(Y.shape)}; expected the {self._system.weight:g} "
@@ -180,12 +180,12 @@ class Falkon(OnlineHead):
         return scores
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return centres (M, d) and coefficients alpha (M, t)."""
+        """Return centers (M, d) and coefficients alpha (M, t)."""
         centers, alpha = self._fitted()
         return {"centers": centers.cpu(), "alpha": alpha.cpu()}
 
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
-        """Take over centres and coefficients."""
+        """Take over centers and coefficients."""
         if set(state) != {"centers", "alpha"}:
             raise CheckpointError(f"falkon: the state has {sorted(state)}; expected ['alpha', 'centers']")
         centers, alpha = state["centers"], state["alpha"]

@@ -24,7 +24,7 @@ class Kernel(ABC):
 
         Args:
             X: Samples.
-            Y: Samples, usually the centres.
+            Y: Samples, usually the centers.
             Y_squares: (m,) squared norms of Y, when the caller has them.
             out: (n, m) where to write it; fresh memory costs about as much as the exponential.
         """

@@ -1,4 +1,4 @@
-"""A linear classifier trained by gradient descent on stored features: the cheap rival of the kernel heads."""
+"""A linear classifier trained by gradient descent on stored features: the cheap baseline of the kernel heads."""
 
 from __future__ import annotations
 

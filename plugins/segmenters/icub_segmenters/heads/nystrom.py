@@ -18,8 +18,8 @@ BLOCK_BYTES = 32 * 2**20
 PANELS = 8
 """Column panels of a Gram matrix; only the lower block triangle is computed (36 of 64 products)."""
 FIRST_JITTER = {torch.float32: 1e-9, torch.float64: 1e-14}
-"""Relative to the mean diagonal; grown only where the factorisation fails."""
-LARGEST_JITTER = 1e-2
+"""Relative to the mean diagonal; grown only where the factorization fails."""
+MAX_JITTER = 1e-2
 """Relative to the mean diagonal; a matrix that needs more is no kernel matrix."""
 
 
@@ -39,7 +39,7 @@ def add_gram(total: torch.Tensor, K: torch.Tensor) -> None:
 
 
 def cholesky_with_jitter(A: torch.Tensor, first: float) -> torch.Tensor:
-    """Factorise A (m, m) float64, adding `first` x mean diagonal to the diagonal, ten times more on each failure.
+    """Factorize A (m, m) float64, adding `first` x mean diagonal to the diagonal, ten times more on each failure.
 
     Only the lower triangle of A is looked at; its diagonal is left with the jitter added.
 
@@ -51,14 +51,14 @@ def cholesky_with_jitter(A: torch.Tensor, first: float) -> torch.Tensor:
     """
     scale = float(A.diagonal().mean())
     relative, added = first, 0.0
-    while relative <= LARGEST_JITTER:
+    while relative <= MAX_JITTER:
         A.diagonal().add_((relative - added) * scale)
         L, info = torch.linalg.cholesky_ex(A)
         if int(info) == 0:
             return L
         added = relative
         relative *= 10
-    raise DataError("the kernel matrix cannot be factorised; are the features constant or the kernel width absurd?")
+    raise DataError("the kernel matrix cannot be factorized; are the features constant or the kernel width absurd?")
 
 
 class NystromSystem:
@@ -75,7 +75,7 @@ class NystromSystem:
 
         Args:
             centers: (M, d) float32 or float64; decides the precision of the kernel rows.
-            kernel: Evaluated between samples and centres.
+            kernel: Evaluated between samples and centers.
             problems: Number of targets (t).
         """
         self.kernel = kernel
@@ -96,7 +96,7 @@ class NystromSystem:
         return self.right_side.shape[1]
 
     def rows(self, X: torch.Tensor, out: torch.Tensor | None = None) -> torch.Tensor:
-        """Return kernel rows K(X, centres) (n, M), written to `out` if it is given."""
+        """Return kernel rows K(X, centers) (n, M), written to `out` if it is given."""
         return self.kernel(X.to(self.centers), self.centers, self.center_squares, out)
 
     def add(self, X: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
@@ -136,7 +136,7 @@ class NystromSystem:
         self.target_sum = torch.cat([self.target_sum, self.target_sum.new_full((count,), -self.weight)])
 
     def extend_centers(self, centers: torch.Tensor, X: torch.Tensor, Y: torch.Tensor) -> None:
-        """Append centres (m, d); X (n, d) and Y (n, t) are all samples so far, unweighted.
+        """Append centers (m, d); X (n, d) and Y (n, t) are all samples so far, unweighted.
 
         Only the new columns of the Gram matrix are computed: n m (M + m) products instead of n (M + m)^2.
         """
@@ -167,7 +167,7 @@ class NystromSystem:
             self.offset = torch.cat([old_offset, fresh_offset])
 
     def solve(self, lam: float) -> torch.Tensor:
-        """Return alpha (M, t) in the centres' dtype: one Cholesky factorisation in float64 for all problems."""
+        """Return alpha (M, t) in the centers' dtype: one Cholesky factorization in float64 for all problems."""
         H = torch.add(self.gram, self.K_MM, alpha=lam * self.weight)
         B = self.right_side
         if self.offset is not None:  # undo the shift: K = shifted + 1 offset^T

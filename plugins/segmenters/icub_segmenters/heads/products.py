@@ -27,7 +27,7 @@ def _is_intel() -> bool:
 
 @functools.cache
 def onednn_is_better() -> bool:
-    """Say whether float32 products should go through oneDNN on this machine: deterministic, measured by accuracy."""
+    """Return True if float32 products should go through oneDNN on this machine: deterministic, measured by accuracy."""
     if _is_intel() or not torch.backends.mkldnn.is_available():
         return False
     generator = torch.Generator().manual_seed(0)

@@ -1,4 +1,4 @@
-"""Regularised least squares with whitened targets: the box regressor."""
+"""Regularized least squares with whitened targets: the box regressor."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ WHITENING_FLOOR = 1e-3
 
 
 class Rls(OnlineHead):
-    """Ridge regression of all targets with one factorisation, in float64.
+    """Ridge regression of all targets with one factorization, in float64.
 
-    Targets are centred and, if wanted, whitened by W (D + 0.001)^(-1/2) W^T; a column of ones is appended to the
-    samples and regularised like the others; (X^T X + lambda I) is not scaled by n.
+    Targets are centered and, if wanted, whitened by W (D + 0.001)^(-1/2) W^T; a column of ones is appended to the
+    samples and regularized like the others; (X^T X + lambda I) is not scaled by n.
 
     Source: thesis 11.3.2, which takes it from R-CNN (Girshick et al., 2014); details as in the released code.
     """
@@ -26,13 +26,13 @@ class Rls(OnlineHead):
         """Configure; nothing is computed.
 
         Args:
-            lam: Regulariser, not multiplied by the number of samples: 1000 suits raw features of the thesis's
+            lam: Regularizer, not multiplied by the number of samples: 1000 suits raw features of the thesis's
                 detector, 0.01 to 10 features scaled to norm 20.
             whiten: Decorrelate the targets first.
             device: Where to compute.
         """
         if not lam > 0:
-            raise ConfigError(f"lam is {lam}; expected a regulariser above 0")
+            raise ConfigError(f"lam is {lam}; expected a regularizer above 0")
         self.lam = lam
         self.whiten = whiten
         self.device = torch.device(device)
@@ -49,9 +49,9 @@ class Rls(OnlineHead):
             weight = sample_weight.double().to(self.device).unsqueeze(1)
         with torch.no_grad():
             mean = (weight * targets).sum(dim=0) / weight.sum()
-            centred = targets - mean
-            whitener = self._whitener(centred, weight)
-            solution = _ridge(weight.sqrt() * wide, weight.sqrt() * (centred @ whitener), self.lam)
+            centered = targets - mean
+            whitener = self._whitener(centered, weight)
+            solution = _ridge(weight.sqrt() * wide, weight.sqrt() * (centered @ whitener), self.lam)
             solution = solution @ torch.linalg.inv(whitener)  # back to the targets' own coordinates
         # float64 is for the algebra; scoring is float32 as the features are
         self.weight = solution[:-1].to(X.dtype)
@@ -82,10 +82,10 @@ class Rls(OnlineHead):
         self.weight = weight.to(self.device, copy=True)
         self.bias = bias.to(self.device, copy=True)
 
-    def _whitener(self, centred: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    def _whitener(self, centered: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
         if not self.whiten:
-            return torch.eye(centred.shape[1], dtype=centred.dtype, device=centred.device)
-        covariance = centred.T @ (weight * centred) / weight.sum()
+            return torch.eye(centered.shape[1], dtype=centered.dtype, device=centered.device)
+        covariance = centered.T @ (weight * centered) / weight.sum()
         values, vectors = torch.linalg.eigh(covariance)
         return vectors @ torch.diag((values.clamp(min=0) + WHITENING_FLOOR).rsqrt()) @ vectors.T
 

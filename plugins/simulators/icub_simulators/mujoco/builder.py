@@ -26,7 +26,7 @@ OBJECT_SOLREF = (0.01, 1.0)
 OBJECT_CONDIM = 4
 """Sliding and torsional friction: a held object does not spin about the line between two fingers."""
 CCD_TOLERANCE = 1e-4
-"""Metres, of contacts of cylinders, which are found by iteration: the depth is right to a thousandth of that. A
+"""Meters, of contacts of cylinders, which are found by iteration: the depth is right to a thousandth of that. A
 twentieth of a step's time with round objects, and grasps are as good as with the engine's 1e-6."""
 IMPRATIO = 20.0
 """Friction 20 times stiffer than the normal direction; at 1 fingers creep round what they hold."""
@@ -79,7 +79,7 @@ def build_spec(robot: RobotDescription | None, scene: Scene, visual: bool) -> mu
 
 
 def parking_place(number: int) -> tuple[float, float, float]:
-    """World position of the parked object `number`: further away than cameras see, apart from its neighbours."""
+    """World position of the parked object `number`: further away than cameras see, apart from its neighbors."""
     return 100.0 + 2.0 * number, 0.0, 10.0
 
 

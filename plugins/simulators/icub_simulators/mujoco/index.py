@@ -67,11 +67,11 @@ class Index:
 def build_index(model: mujoco.MjModel, frames: LinkFrames, robot: RobotDescription | None, scene: Scene) -> Index:
     """Look everything up."""
     joints = robot.joint_names if robot is not None else ()
-    strangers = (TABLE_BODY, *(OBJECT_PREFIX + item.name for item in scene.objects))
+    distractors = (TABLE_BODY, *(OBJECT_PREFIX + item.name for item in scene.objects))
     links = {
         link: LinkSlot(int(model.body(body).id), offset)
         for link, (body, offset) in frames.items()
-        if link not in strangers
+        if link not in distractors
     }
     limits = np.full(model.nv, FASTEST_JOINT)
     objects = {}

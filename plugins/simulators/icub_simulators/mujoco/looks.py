@@ -18,11 +18,11 @@ FLOOR_TILES = 5.0
 LIGHT_SLOTS = 4
 """Lights that the model has room for; those that a scene does not use are off."""
 LIGHT_DISTANCE = 2.5
-"""Metres from the middle of the scene at which the shadow map of a directional light starts."""
+"""Meters from the middle of the scene at which the shadow map of a directional light starts."""
 
 TABLE, FLOOR, BACKDROP = "look/table", "look/floor", "look/backdrop"
 PLAIN = "/plain"
-"""Suffix of the untextured twin of a material: in software, texturing doubles the time of a small picture."""
+"""Suffix of the untextured twin of a material: in software, texturing doubles the time of a small image."""
 
 
 def dress(spec: mujoco.MjSpec, scene: Scene) -> None:
@@ -101,7 +101,7 @@ def image_of(look: Material, size: int) -> NDArray[np.uint8]:
 
 
 def backdrop_image(look: Material) -> NDArray[np.uint8]:
-    """Return what the sky box shows: it knows no material, so the colour goes into the image."""
+    """Return what the sky box shows: it knows no material, so the color goes into the image."""
     return (image_of(look, TEXTURE_SIZE) * np.asarray(look.rgba[:3])).astype(np.uint8)
 
 

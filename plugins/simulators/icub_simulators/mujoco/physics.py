@@ -1,4 +1,4 @@
-"""The physics of one compiled world: stepping, state, contacts, faults. Knows nothing about pictures."""
+"""The physics of one compiled world: stepping, state, contacts, faults. Knows nothing about images."""
 
 from __future__ import annotations
 
@@ -257,7 +257,7 @@ class Physics:
         return numbers
 
     def touching(self, name: str) -> bool:
-        """Say whether the robot touches the object anywhere."""
+        """Return True if the robot touches the object anywhere."""
         self.slots(name)
         if self._stale:
             self._refresh()

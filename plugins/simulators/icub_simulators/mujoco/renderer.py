@@ -1,4 +1,4 @@
-"""Pictures of a world: colour and depth in one pass, segmentation in a second."""
+"""Images of a world: color and depth in one pass, segmentation in a second."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _Frustum = tuple[FloatArray, FloatArray]
 
 _PARKED_GROUP = 5
 _SHOWN_GROUPS = (0, 1, 2)
-_MOST_GEOMS = 4000
-_SMALLEST_BUFFER = (64, 64)
-"""Pixels that graphics memory is reserved for at first; it grows with the pictures, and a larger one is slower."""
-_LARGEST_SIDE = 8192
+_MAX_GEOMS = 4000
+_MIN_BUFFER = (64, 64)
+"""Pixels that graphics memory is reserved for at first; it grows with the images, and a larger one is slower."""
+_MAX_SIDE = 8192
 PLAIN, PRETTY = False, True
 """Two ways of drawing: without shadows and smoothing (fast), with both."""
 
@@ -54,7 +54,7 @@ class Renderer:
         dress(spec, scene)
         self.model = compile_model(spec)
         self._data = mujoco.MjData(self.model)
-        self._scene = mujoco.MjvScene(self.model, maxgeom=_MOST_GEOMS)
+        self._scene = mujoco.MjvScene(self.model, maxgeom=_MAX_GEOMS)
         self._camera = mujoco.MjvCamera()
         self._options = mujoco.MjvOption()
         self._options.geomgroup[:] = [group in _SHOWN_GROUPS for group in range(len(self._options.geomgroup))]
@@ -62,7 +62,7 @@ class Renderer:
         self._options.flags[int(mujoco.mjtVisFlag.mjVIS_TEXTURE)] = 1
         self._options.flags[int(mujoco.mjtVisFlag.mjVIS_STATIC)] = 1
         self._contexts: dict[bool, mujoco.MjrContext] = {}
-        self._buffer = _SMALLEST_BUFFER
+        self._buffer = _MIN_BUFFER
         self._group = self.model.geom_group.copy()
         self._radius = np.where(self.model.geom_rbound > 0, self.model.geom_rbound, np.inf)  # planes end nowhere
         bodies = [self.model.body(OBJECT_PREFIX + item.name).id for item in scene.objects]
@@ -82,10 +82,8 @@ class Renderer:
         segmentation: bool, shadows: bool, stamp: float,
     ) -> Rendering:  # fmt: skip
         """Draw the world with its joints and objects at `qpos` as `view` sees it; see the simulator's interface."""
-        if not (0 < width <= _LARGEST_SIDE and 0 < height <= _LARGEST_SIDE):
-            raise SimulationError(
-                f"a picture of {width} x {height} was asked for; expected 1 to {_LARGEST_SIDE} a side"
-            )
+        if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
+            raise SimulationError(f"a image of {width} x {height} was asked for; expected 1 to {_MAX_SIDE} a side")
         self._pose(qpos, parked, None if shadows else view, width / height)
         self._aim(view, width, height)
         rgb, depth = self._draw(PRETTY if shadows else PLAIN, width, height, ids=False)
@@ -137,7 +135,7 @@ class Renderer:
     def _pose(self, qpos: FloatArray, parked: NDArray[np.bool_], view: CameraView | None, aspect: float) -> None:
         """Bring the drawn scene up to date; with a view, leave out what it cannot show.
 
-        Without shadows nothing outside of the picture can change it, and most of the robot is behind its own camera.
+        Without shadows nothing outside of the image can change it, and most of the robot is behind its own camera.
         """
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self._data)
@@ -183,7 +181,7 @@ class Renderer:
             eye.frustum_near, eye.frustum_far = near, self.model.vis.map.zfar * self.model.stat.extent
 
     def _draw(self, style: bool, width: int, height: int, ids: bool) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Draw and read colour (or geom numbers) and metric depth, top row first."""
+        """Draw and read color (or geom numbers) and metric depth, top row first."""
         self._gl.make_current()
         context = self._context(style, width, height)
         flags = self._scene.flags
@@ -210,7 +208,7 @@ class Renderer:
         return rgb, depth
 
     def _objects(self, codes: NDArray[np.uint8]) -> NDArray[np.int32]:
-        """Turn the colours of a segmentation pass into object numbers."""
+        """Turn the colors of a segmentation pass into object numbers."""
         segment = (
             codes[..., 0].astype(np.int32) | codes[..., 1].astype(np.int32) << 8 | codes[..., 2].astype(np.int32) << 16
         )
@@ -240,7 +238,7 @@ class Renderer:
 
 
 def _frustum(view: CameraView, aspect: float) -> _Frustum:
-    """Return normals (4, 3) and offsets (4,) of the picture's edge planes, world frame: n x > offset outside."""
+    """Return normals (4, 3) and offsets (4,) of the image's edge planes, world frame: n x > offset outside."""
     half_y = 0.5 * view.fovy
     half_x = np.arctan(np.tan(half_y) * aspect)
     sx, cx, sy, cy = np.sin(half_x), np.cos(half_x), np.sin(half_y), np.cos(half_y)
@@ -251,5 +249,5 @@ def _frustum(view: CameraView, aspect: float) -> _Frustum:
 
 
 def _flat_color(look: Material) -> NDArray[np.uint8] | None:
-    """Return the colour (3,) of a backdrop without texture: filling pixels in is faster than drawing a sky box."""
+    """Return the color (3,) of a backdrop without texture: filling pixels in is faster than drawing a sky box."""
     return backdrop_image(look)[0, 0] if look.texture is None else None

@@ -141,7 +141,7 @@ class Mujoco(Simulator):
         segmentation: bool = False,
         shadows: bool = False,
     ) -> Rendering:
-        """Take a picture; see the interface."""
+        """Take a image; see the interface."""
         world = self._world
         renderer = self._open_renderer()
         view = place_camera(camera, self._cameras, world.link_pose, look_at)

@@ -31,12 +31,12 @@ from icub_simulators.objects.textures import PATTERNS, print_texture, random_ink
 logger = logging.getLogger(__name__)
 
 LOWEST, WIDEST = 0.05, 0.07
-"""Metres: lower objects leave no room for the fingers above the table, wider ones none between thumb and fingers."""
+"""Meters: lower objects leave no room for the fingers above the table, wider ones none between thumb and fingers."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """Convex pieces, the surface to draw, in metres, and the stated mass, kg; 0 where the file states none."""
+    """Convex pieces, the surface to draw, in meters, and the stated mass, kg; 0 where the file states none."""
 
     pieces: list[FloatArray]
     surface: tuple[FloatArray, IntArray]
@@ -47,7 +47,7 @@ class Folder(ObjectSet):
     """Every OBJ, STL, URDF and MJCF file of a folder and its sub-folders, one object each, named by its path.
 
     A mesh need not be watertight: it is decomposed into convex pieces (CoACD) once, and the pieces are kept in the
-    cache under a hash of the mesh. It is drawn as it is, in a colour derived from its name.
+    cache under a hash of the mesh. It is drawn as it is, in a color derived from its name.
 
     A URDF or MJCF file describes one rigid object; its mass counts where it states one, and the meshes beside and below
     it are its parts, not objects.
@@ -57,7 +57,7 @@ class Folder(ObjectSet):
 
     Args:
         path: The folder.
-        scale: Factor from the files' unit to metres; 0.001 for millimetres.
+        scale: Factor from the files' unit to meters; 0.001 for millimeters.
         density: kg/m^3 of the pieces, for files that state no mass.
         pieces: Largest number of convex pieces; 1 takes the hull.
         concavity: Allowed error of the decomposition, share of the object's size.

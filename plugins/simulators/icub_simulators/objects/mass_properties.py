@@ -1,4 +1,4 @@
-"""Centre of mass and inertia of an object made of pieces at one density, for engines that do not work them out."""
+"""Center of mass and inertia of an object made of pieces at one density, for engines that do not work them out."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class MassProperties:
     """Where an object's mass is.
 
     Attributes:
-        center: (3,) centre of mass in the object's frame, metres.
+        center: (3,) center of mass in the object's frame, meters.
         quat_wxyz: Principal axes in the object's frame.
         inertia: (3,) principal moments, kg m^2.
     """
@@ -46,7 +46,7 @@ def mass_properties(spec: ObjectSpec) -> MassProperties:
 
 
 def _piece(piece: Geom) -> tuple[float, FloatArray, FloatArray]:
-    """Volume, centre and inertia tensor per density about the centre, in the object's axes."""
+    """Volume, center and inertia tensor per density about the center, in the object's axes."""
     R, position = quat_wxyz_to_matrix(piece.quat_wxyz), np.array(piece.position)
     if piece.mesh is not None:
         import trimesh
@@ -72,7 +72,7 @@ def _primitive(piece: Geom) -> tuple[float, FloatArray]:
     along, across = radius**2 / 2, radius**2 / 4 + half**2 / 3
     if piece.shape == "cylinder":
         return cylinder, np.array([across, across, along])
-    ball = 4 / 3 * np.pi * radius**3  # the two half balls; their own centres lie 3/8 radius off the flat side
+    ball = 4 / 3 * np.pi * radius**3  # the two half balls; their own centers lie 3/8 radius off the flat side
     ball_across = 0.4 * radius**2 + half**2 + 0.75 * half * radius
     volume = cylinder + ball
     moments = (

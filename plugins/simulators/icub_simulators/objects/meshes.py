@@ -1,4 +1,4 @@
-"""Reading meshes: convex pieces in metres, and one clear line for a file that cannot be used."""
+"""Reading meshes: convex pieces in meters, and one clear line for a file that cannot be used."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 MESH_SUFFIXES = (".obj", ".stl")
-LARGEST_OBJECT = 2.0
-"""Metres; more is taken for a mesh in millimetres."""
-SMALLEST_OBJECT = 2e-3
-MOST_FACES = 2_000_000
+MAX_OBJECT = 2.0
+"""Meters; more is taken for a mesh in millimeters."""
+MIN_OBJECT = 2e-3
+MAX_FACES = 2_000_000
 NEARLY_CONVEX = 0.01
 """A mesh whose volume differs by less than this share from its hull's is taken for convex."""
 _CHUNK = 1 << 24
@@ -46,8 +46,8 @@ def read_mesh(path: Path) -> tuple[FloatArray, IntArray]:
     if path.stat().st_size == 0:
         raise DataError(f"mesh {path} is empty")
     count = count_faces(path)  # before millions of them are read
-    if count > MOST_FACES:
-        raise DataError(f"mesh {path} has {count} faces; expected at most {MOST_FACES}: decimate it first")
+    if count > MAX_FACES:
+        raise DataError(f"mesh {path} has {count} faces; expected at most {MAX_FACES}: decimate it first")
     try:
         mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
         vertices = np.asarray(getattr(mesh, "vertices", []), dtype=np.float64)  # a file of points gives no mesh
@@ -87,18 +87,16 @@ def count_faces(path: Path) -> int:
 
 
 def check_size(path: Path, points: FloatArray) -> None:
-    """Raise DataError unless the points, in metres, are of a size that a hand or a table can deal with."""
+    """Raise DataError unless the points, in meters, are of a size that a hand or a table can deal with."""
     extents = np.ptp(points, axis=0)
     largest = float(extents.max())
-    if largest > LARGEST_OBJECT:
+    if largest > MAX_OBJECT:
         raise DataError(
-            f"mesh {path} is {largest:.3g} m long; expected at most {LARGEST_OBJECT} m. "
-            "Did you mean millimetres? Then give scale=0.001"
+            f"mesh {path} is {largest:.3g} m long; expected at most {MAX_OBJECT} m. "
+            "Did you mean millimeters? Then give scale=0.001"
         )
-    if largest < SMALLEST_OBJECT:
-        raise DataError(
-            f"mesh {path} is {largest:.3g} m long; expected at least {SMALLEST_OBJECT} m: give a larger scale"
-        )
+    if largest < MIN_OBJECT:
+        raise DataError(f"mesh {path} is {largest:.3g} m long; expected at least {MIN_OBJECT} m: give a larger scale")
     if hull_volume(points) < 1e-4 * largest**3:
         raise DataError(f"mesh {path} is flat ({', '.join(f'{e:.3g}' for e in extents)} m); expected a solid body")
 
@@ -155,7 +153,7 @@ def solid_object(
     friction: Vec3,
     rest_poses: tuple[RestPose, ...] = (),
 ) -> ObjectSpec:
-    """Turn convex pieces in metres into an object whose origin is the centre of its box.
+    """Turn convex pieces in meters into an object whose origin is the center of its box.
 
     Args:
         name: Of the object.

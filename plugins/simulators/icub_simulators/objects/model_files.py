@@ -87,7 +87,7 @@ def _triangles(model: object, geom: int, files: dict[str, Path]) -> Triangles:
         mesh = int(model.geom_dataid[geom])
         vertices, faces = read_mesh(files[model.mesh(mesh).name])
         vertices = vertices * model.mesh_scale[mesh]
-        # the engine has moved the mesh to its centre and axes, and the geom the other way
+        # the engine has moved the mesh to its center and axes, and the geom the other way
         R = quat_wxyz_to_matrix(model.mesh_quat[mesh])
         return (vertices - model.mesh_pos[mesh]) @ R, faces
     if kind == types.mjGEOM_BOX:
@@ -95,7 +95,7 @@ def _triangles(model: object, geom: int, files: dict[str, Path]) -> Triangles:
     elif kind == types.mjGEOM_CYLINDER:
         solid = trimesh.creation.cylinder(radius=size[0], height=2 * size[1])
     elif kind == types.mjGEOM_CAPSULE:
-        solid = trimesh.creation.capsule(radius=size[0], height=2 * size[1])  # centred, along z
+        solid = trimesh.creation.capsule(radius=size[0], height=2 * size[1])  # centered, along z
     elif kind in (types.mjGEOM_SPHERE, types.mjGEOM_ELLIPSOID):
         solid = trimesh.creation.icosphere(subdivisions=3)
         solid.apply_scale(size if kind == types.mjGEOM_ELLIPSOID else size[0])

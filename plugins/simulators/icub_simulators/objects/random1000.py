@@ -31,33 +31,33 @@ logger = logging.getLogger(__name__)
 FloatArray = NDArray[np.float64]
 
 FILE_UNIT = 0.015
-"""Metres per unit of the OBJ files, from their URDFs."""
+"""Meters per unit of the OBJ files, from their URDFs."""
 MASS = 0.1
 """Kilograms at the true size, from their URDFs."""
 DENSITY = 500.0
 """kg/m^3 of a resized object; between a full cracker box (210) and a full can (1000)."""
 LIGHTEST = 0.03
 """Kilograms of a resized object; slender shapes would weigh a gram."""
-MOST_PIECES = 16
+MAX_PIECES = 16
 HAND_WIDTH = (0.040, 0.062)
-"""Metres that a resized object leaves between thumb and fingers; 38 to 66 mm were seen to be held."""
+"""Meters that a resized object leaves between thumb and fingers; 38 to 66 mm were seen to be held."""
 HAND_HEIGHT = (0.050, 0.25)
 """Lower objects leave no room for the fingers above the table; higher ones topple."""
 HAND_LENGTH = (0.07, 0.22)
-"""Metres of the largest extent of a resized object, where the caller names none."""
+"""Meters of the largest extent of a resized object, where the caller names none."""
 COUNT = 1000
 BROKEN = (168,)
 """Files without a single finite vertex."""
 
 
 class Random1000(ObjectSet):
-    """Random shapes of ``pybullet_data/random_urdfs``, with procedural colours and prints.
+    """Random shapes of ``pybullet_data/random_urdfs``, with procedural colors and prints.
 
     Names are ``random_000`` to ``random_999`` without 168, whose file holds no number. Objects of more than 16 convex
     pieces keep the largest 16. At their true size (8 to 18 cm wide) few of them fit a hand.
 
     Args:
-        size: Lowest and highest largest extent in metres; each object is resized to a length drawn in between (always
+        size: Lowest and highest largest extent in meters; each object is resized to a length drawn in between (always
             the same for one object and range) and weighs 500 kg/m^3, at least 30 g. None keeps true size and 0.1 kg.
         graspable: Resize each object for the iCub's hand instead: in the lowest stable pose that allows it, its
             narrowest horizontal width is 40 to 62 mm (drawn once an object), its height 50 to 250 mm and its largest
@@ -66,7 +66,7 @@ class Random1000(ObjectSet):
 
     def __init__(self, size: list[float] | None = None, graspable: bool = False) -> None:
         if size is not None and (len(size) != 2 or not 0.01 <= size[0] <= size[1] <= 1.0):
-            raise ConfigError(f"random1000 size is {size}; expected [lowest, highest] metres within 0.01 and 1")
+            raise ConfigError(f"random1000 size is {size}; expected [lowest, highest] meters within 0.01 and 1")
         self._size = None if size is None else (float(size[0]), float(size[1]))
         self._graspable = graspable
         self._root = _data_root()
@@ -105,7 +105,7 @@ def _seed(name: str, purpose: str) -> int:
 
 
 def _read_pieces(root: Path, name: str) -> list[FloatArray]:
-    """Read the convex pieces (the file holds them as groups) at their true size, largest first, metres."""
+    """Read the convex pieces (the file holds them as groups) at their true size, largest first, meters."""
     number = name.removeprefix("random_")
     path = root / number / f"{number}.obj"
     try:
@@ -120,7 +120,7 @@ def _read_pieces(root: Path, name: str) -> list[FloatArray]:
             groups[-1].append([float(v) for v in line.split()[1:4]])
     pieces = [FILE_UNIT * np.array(g) for g in groups]
     volumes = [hull_volume(p) for p in pieces]
-    order = sorted(range(len(pieces)), key=lambda i: -volumes[i])[:MOST_PIECES]
+    order = sorted(range(len(pieces)), key=lambda i: -volumes[i])[:MAX_PIECES]
     return [pieces[i] for i in order if volumes[i] > 0]
 
 

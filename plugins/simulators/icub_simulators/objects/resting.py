@@ -1,6 +1,6 @@
 """How bodies come to rest: they are dropped on a plane in every orientation, in a physics engine.
 
-Only the hull meets the plane, so one convex mesh collides; the pieces give the centre of mass and the inertia. Contacts
+Only the hull meets the plane, so one convex mesh collides; the pieces give the center of mass and the inertia. Contacts
 are soft, which leaves a body tilted by a fraction of a degree: the facet of the hull that is nearest to where a drop
 ended is what the body stands on.
 """
@@ -23,12 +23,12 @@ logger = logging.getLogger(__name__)
 
 DROPS = 64
 CLEARANCE = 0.01
-"""Metres between a body and the plane when it is let go."""
+"""Meters between a body and the plane when it is let go."""
 TIMESTEP, SUBSTEPS = 0.004, 10
 LONGEST = 5.0
 """Seconds that a drop may take; a body that still moves then has no say."""
 STILL_MOVE, STILL_TILT = 1e-3, np.deg2rad(1.0)
-"""Metres and radians that a body may stray (soft contacts make light ones tremble) ..."""
+"""Meters and radians that a body may stray (soft contacts make light ones tremble) ..."""
 STILL_LOOKS = 8
 """... in so many looks, 40 ms apart, to count as being at rest."""
 FRICTION = (0.5, 0.005, 0.002)
@@ -36,7 +36,7 @@ FRICTION = (0.5, 0.005, 0.002)
 DENSITY = 500.0
 """kg/m^3; where a body comes to rest hardly depends on it."""
 ALIKE, LEVEL = np.deg2rad(20.0), 0.02
-"""Facets tilted by less against each other, on which the centre of mass is as high but for this share, are one way to
+"""Facets tilted by less against each other, on which the center of mass is as high but for this share, are one way to
 lie: the side of a can that is made of flat faces."""
 
 
@@ -44,7 +44,7 @@ def rest_poses(pieces: list[FloatArray]) -> tuple[RestPose, ...]:
     """Drop a body and return how it lies then, most frequent first; kept by content, as the convex pieces are.
 
     Args:
-        pieces: (N_i, 3) vertices of its convex pieces, metres, in the body's frame.
+        pieces: (N_i, 3) vertices of its convex pieces, meters, in the body's frame.
 
     Returns:
         Poses with the shares of drops that ended so. Empty when no drop came to rest.
@@ -79,7 +79,7 @@ def drop(pieces: list[FloatArray], rotations: FloatArray) -> tuple[FloatArray, n
     """Let a body go just above a plane, from rest.
 
     Args:
-        pieces: (N_i, 3) vertices of its convex pieces, metres.
+        pieces: (N_i, 3) vertices of its convex pieces, meters.
         rotations: (K, 3, 3) orientations to start from.
 
     Returns:

@@ -23,7 +23,7 @@ COPLANAR = 1e-3
 
 
 def hull_volume(points: FloatArray) -> float:
-    """Volume of the convex hull of (N, 3) points, cubic metres; 0 for flat ones."""
+    """Volume of the convex hull of (N, 3) points, cubic meters; 0 for flat ones."""
     try:
         return float(ConvexHull(points).volume)
     except (QhullError, ValueError):
@@ -31,7 +31,7 @@ def hull_volume(points: FloatArray) -> float:
 
 
 def center_of_mass(pieces: list[FloatArray]) -> FloatArray:
-    """Centre of mass (3,) of convex pieces, each (N_i, 3), at one density."""
+    """Center of mass (3,) of convex pieces, each (N_i, 3), at one density."""
     total, moment = 0.0, np.zeros(3)
     for points in pieces:
         hull = ConvexHull(points)
@@ -44,14 +44,14 @@ def center_of_mass(pieces: list[FloatArray]) -> FloatArray:
 
 
 def stable_poses(points: FloatArray, center: FloatArray) -> Iterator[tuple[RestPose, float]]:
-    """Yield the poses in which a body can stand on a horizontal plane, lowest centre of mass first, with their tilt.
+    """Yield the poses in which a body can stand on a horizontal plane, lowest center of mass first, with their tilt.
 
     Every facet of the hull is a candidate. The tilt is the angle by which the body can be turned about the facet's
     nearest edge before it falls over; negative where it falls by itself.
 
     Args:
-        points: (N, 3) points of the body, in its frame, metres.
-        center: (3,) centre of mass.
+        points: (N, 3) points of the body, in its frame, meters.
+        center: (3,) center of mass.
 
     Raises:
         DataError: When the points span no volume.
@@ -63,7 +63,7 @@ def stable_poses(points: FloatArray, center: FloatArray) -> Iterator[tuple[RestP
     facets = _facets(hull)
     largest = np.unique(facets, return_index=True)[1]  # one triangle of each facet stands for its plane
     normals = hull.equations[largest, :3]
-    heights = -(hull.equations[largest, 3] + normals @ center)  # of the centre of mass above the plane
+    heights = -(hull.equations[largest, 3] + normals @ center)  # of the center of mass above the plane
     size = np.bincount(facets)
     margins = _triangle_margins(points[hull.simplices[largest]], normals, center)
     for index in np.argsort(heights, kind="stable"):
@@ -76,7 +76,7 @@ def stable_poses(points: FloatArray, center: FloatArray) -> Iterator[tuple[RestP
 
 
 def _facets(hull: ConvexHull) -> NDArray[np.intp]:
-    """Number the facets: neighbouring triangles with the same normal belong to one."""
+    """Number the facets: neighboring triangles with the same normal belong to one."""
     normals = hull.equations[:, :3]
     n = len(normals)
     first = np.repeat(np.arange(n), 3)
@@ -87,7 +87,7 @@ def _facets(hull: ConvexHull) -> NDArray[np.intp]:
 
 
 def _triangle_margins(corners: FloatArray, normals: FloatArray, center: FloatArray) -> FloatArray:
-    """Signed distance from the projected centre to the nearest edge of each triangle (F, 3, 3), positive inside."""
+    """Signed distance from the projected center to the nearest edge of each triangle (F, 3, 3), positive inside."""
     middle = corners.mean(axis=1)
     margins = np.full(len(corners), np.inf)
     for i in range(3):
@@ -103,8 +103,8 @@ def rest_pose(points: FloatArray, center: FloatArray) -> RestPose:
     """Return the lowest pose that withstands `STABLE_TILT`, or the steadiest one where none does.
 
     Args:
-        points: (N, 3) points of the body, in its frame, metres.
-        center: (3,) centre of mass.
+        points: (N, 3) points of the body, in its frame, meters.
+        center: (3,) center of mass.
 
     Raises:
         DataError: When the points span no volume.
@@ -143,7 +143,7 @@ def narrowest_width(points_xy: FloatArray) -> float:
 
 
 def _margin(facet: FloatArray, normal: FloatArray, center: FloatArray) -> float:
-    """Distance from the projected centre of mass to the nearest edge of the facet; negative outside of it."""
+    """Distance from the projected center of mass to the nearest edge of the facet; negative outside of it."""
     u = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     u /= np.linalg.norm(u)
     basis = np.stack([u, np.cross(normal, u)], axis=1)  # (3, 2)
@@ -151,4 +151,4 @@ def _margin(facet: FloatArray, normal: FloatArray, center: FloatArray) -> float:
         polygon = ConvexHull((facet - center) @ basis)
     except (QhullError, ValueError):
         return -np.inf
-    return float(-polygon.equations[:, 2].max())  # lines n x + d <= 0 inside; the centre is the origin
+    return float(-polygon.equations[:, 2].max())  # lines n x + d <= 0 inside; the center is the origin

@@ -22,8 +22,8 @@ def print_texture(
 
     Args:
         pattern: Kind of print.
-        base: Colour of the surface, 0..255.
-        ink: Colour of what is printed on it.
+        base: Color of the surface, 0..255.
+        ink: Color of what is printed on it.
         seed: Decides the details; the same arguments give the same image.
         text: Letters on a ``"label"``.
         size: Side of the image, pixels.
@@ -59,7 +59,7 @@ def print_texture(
 
 
 def _draw_label(image: NDArray[np.uint8], ink: Rgb, rng: np.random.Generator, text: str) -> None:
-    """Draw a light field with a coloured band, a line of letters and rows of small print."""
+    """Draw a light field with a colored band, a line of letters and rows of small print."""
     s = len(image)
     top, bottom = int(s * rng.uniform(0.12, 0.25)), int(s * rng.uniform(0.68, 0.85))
     paper = tuple(int(c) for c in rng.integers(215, 250, 3))
@@ -75,6 +75,6 @@ def _draw_label(image: NDArray[np.uint8], ink: Rgb, rng: np.random.Generator, te
 
 
 def random_ink(rng: np.random.Generator) -> Rgb:
-    """Draw a saturated colour, uniform in hue."""
+    """Draw a saturated color, uniform in hue."""
     r, g, b = colorsys.hsv_to_rgb(rng.random(), rng.uniform(0.5, 1.0), rng.uniform(0.35, 1.0))
     return int(255 * r), int(255 * g), int(255 * b)

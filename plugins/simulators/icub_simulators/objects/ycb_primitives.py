@@ -46,7 +46,7 @@ def _drill() -> tuple[Geom, ...]:
 
 @dataclass(frozen=True)
 class _Entry:
-    size: Vec3  # of the surrounding box, metres
+    size: Vec3  # of the surrounding box, meters
     mass: float  # kg
     build: Callable[[], tuple[Geom, ...]]
     pattern: Pattern
@@ -57,7 +57,7 @@ class _Entry:
     rest_height: float = 0.0  # 0: half of the z size
 
 
-_CATALOGUE: dict[str, _Entry] = {
+_CATALOG: dict[str, _Entry] = {
     "003_cracker_box": _Entry(
         (0.060, 0.158, 0.210), 0.411, lambda: _box(0.060, 0.158, 0.210), "label", (190, 30, 25), (215, 60, 20), "CRACK"
     ),
@@ -93,7 +93,7 @@ _CATALOGUE: dict[str, _Entry] = {
 class YcbPrimitives(ObjectSet):
     """The eight YCB objects of the thesis, built from boxes and cylinders.
 
-    Origins are the centres of the surrounding boxes. Sizes and masses are the published ones; each object has a colour
+    Origins are the centers of the surrounding boxes. Sizes and masses are the published ones; each object has a color
     and a print of its own, which stand in for the photographs on the original meshes.
 
     Source: thesis 12.4; rest poses are those of its grasping scenes, stated in the primitives' own axes.
@@ -102,13 +102,13 @@ class YcbPrimitives(ObjectSet):
     @property
     def names(self) -> tuple[str, ...]:
         """The eight names, by YCB number."""
-        return tuple(_CATALOGUE)
+        return tuple(_CATALOG)
 
     def get(self, name: str) -> ObjectSpec:
         """Build one object; raises ConfigError for a name that is not in the set."""
-        if name not in _CATALOGUE:
-            raise ConfigError(unknown_name("object in 'ycb_primitives'", name, _CATALOGUE))
-        entry = _CATALOGUE[name]
+        if name not in _CATALOG:
+            raise ConfigError(unknown_name("object in 'ycb_primitives'", name, _CATALOG))
+        entry = _CATALOG[name]
         x, y, z = entry.size
         return ObjectSpec(
             name=name,

@@ -1,4 +1,4 @@
-"""Pictures by Bullet's own software renderer: no graphics library needed."""
+"""Images by Bullet's own software renderer: no graphics library needed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from icub_simulators.pybullet.world import World
 FloatArray = NDArray[np.float64]
 
 NEAR, FAR = 0.02, 40.0
-_LARGEST_SIDE = 8192
+_MAX_SIDE = 8192
 
 
 class Camera:
@@ -52,8 +52,8 @@ class Camera:
 
     def render(self, view: CameraView, width: int, height: int, segmentation: bool, shadows: bool) -> Rendering:
         """Draw; see the simulator's interface."""
-        if not (0 < width <= _LARGEST_SIDE and 0 < height <= _LARGEST_SIDE):
-            raise SimulationError(f"a picture of {width} x {height} pixels; expected 1 to {_LARGEST_SIDE} a side")
+        if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
+            raise SimulationError(f"a image of {width} x {height} pixels; expected 1 to {_MAX_SIDE} a side")
         client = self._world.client
         _, _, rgba, raw, codes = client.getCameraImage(
             width, height, _view_matrix(view.T_world_camera), _projection(view.fovy, width, height),
@@ -101,9 +101,9 @@ def _view_matrix(T_world_camera: FloatArray) -> list[float]:
 
 
 def _projection(fovy: float, width: int, height: int) -> list[float]:
-    """Return the (16,) column-major projection matrix, shifted so that Bullet's samples are the pixels' centres.
+    """Return the (16,) column-major projection matrix, shifted so that Bullet's samples are the pixels' centers.
 
-    Bullet's renderer samples the corner of a pixel, half a pixel off the centre that `intrinsics` state.
+    Bullet's renderer samples the corner of a pixel, half a pixel off the center that `intrinsics` state.
     """
     f = 1.0 / np.tan(0.5 * fovy)
     P = np.zeros((4, 4))

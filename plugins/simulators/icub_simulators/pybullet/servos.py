@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Servos:
-    """The robot's actuators and passive joint behaviour."""
+    """The robot's actuators and passive joint behavior."""
 
     def __init__(self, robot: RobotDescription, timestep: float) -> None:
         self.A, self.b = robot.actuator_matrix()

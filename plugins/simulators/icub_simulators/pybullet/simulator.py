@@ -23,7 +23,7 @@ class PyBullet(Simulator):
 
     What differs: servos are velocity motors of the same stiffness and strength (see `servos`); frictions multiply,
     and are set so that the products are the same; saving clears the solver's memory of contacts, so that a run with a
-    save in it differs in the last digits from one without; a picture shows one light, and a backdrop of one colour.
+    save in it differs in the last digits from one without; a image shows one light, and a backdrop of one color.
 
     Args:
         depth_noise: Give the depth of a stereo camera (noise, steps, holes at edges) instead of the true one.
@@ -125,7 +125,7 @@ class PyBullet(Simulator):
         segmentation: bool = False,
         shadows: bool = False,
     ) -> Rendering:
-        """Take a picture; see the interface."""
+        """Take a image; see the interface."""
         view = place_camera(camera, self._cameras, self._world.link_pose, look_at)
         picture = self._open_camera().render(view, width, height, segmentation, shadows)
         return picture if self._noise is None else self._noise.apply(picture)

@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 
 GRAVITY = 9.81
 TOUCHING = 5e-4
-"""Metres between surfaces that Bullet, which keeps a margin around convex shapes, still counts as a contact."""
+"""Meters between surfaces that Bullet, which keeps a margin around convex shapes, still counts as a contact."""
 SOLVER_ITERATIONS = 300
 """With 100 what a shaken hand holds creeps out of it: friction has not converged. 300 end within 5 mm of 1000."""
 _OBJECT_NUMBERS = 13  # position, orientation, velocity, angular velocity
@@ -212,7 +212,7 @@ class World:
         return touched
 
     def touching(self, name: str) -> bool:
-        """Say whether the robot touches the object anywhere."""
+        """Return True if the robot touches the object anywhere."""
         number = self.number(name)
         return any(other == number for _, other in self._robot_contacts())
 

@@ -1,4 +1,4 @@
-"""Steps many worlds of the grasping task at once: numpy in, numpy out; everything but physics is vectorised."""
+"""Steps many worlds of the grasping task at once: numpy in, numpy out; everything but physics is vectorized."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError
-from icub_tasks.grasping.fault_filter import Firewall
+from icub_core.interfaces.simulator import Fault
+from icub_tasks.grasping.fault_filter import FaultFilter
 from icub_tasks.grasping.reward import GraspReward
 from icub_tasks.grasping.spaces import (
     FINGERS,
@@ -31,15 +32,14 @@ from icub_tasks.grasping.spaces import (
 from icub_tasks.grasping.task import GraspTask, StartState, make_governor
 from icub_tasks.grasping.termination import EndReason, end_reasons
 from icub_tasks.grasping.tracking import HandTracker
-from icub_core.interfaces.simulator import Fault
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Observation = dict[str, NDArray[np.float32]]
 
 
-LARGEST_LEAD, LARGEST_TURN = 0.01, 0.15
-"""Metres and radians that the commanded hand pose may lie beyond what the arm reaches.
+MAX_LEAD, MAX_TURN = 0.01, 0.15
+"""Meters and radians that the commanded hand pose may lie beyond what the arm reaches.
 
 DIFF: unlimited in the thesis, where drifting out of reach ends the episode; here the command waits at the edge, and
 only a solver that diverges is a fault."""
@@ -74,7 +74,7 @@ class TaskBatch:
         first = tasks[0]
         self.tasks = list(tasks)
         self.layout, self.settings = first.layout, first.settings
-        self.firewall = Firewall()
+        self.fault_filter = FaultFilter()
         worlds, description = len(tasks), first.robot.description
         self._scale = self.layout.action_scale
         self._simulators = [task.simulator for task in tasks]
@@ -139,7 +139,7 @@ class TaskBatch:
         self._target += offsets[:, :6]
         self._target[:, :3] = self._governor.limit_position(self._target[:, :3])
         errors = self._follow(active)
-        ahead = (errors[:, 0] > LARGEST_LEAD) | (errors[:, 1] > LARGEST_TURN)
+        ahead = (errors[:, 0] > MAX_LEAD) | (errors[:, 1] > MAX_TURN)
         if ahead.any():  # out of reach: the target waits for the hand instead of running away from it
             self._target[ahead] = before[ahead]
         layout = self.layout
@@ -163,7 +163,7 @@ class TaskBatch:
         )
         readings = (self._object, self._hand.reshape(len(self.tasks), 16), self._fingers)
         finite = np.isfinite(sum(np.add.reduce(reading, axis=1) for reading in readings))
-        fault = self.firewall.inspect(reasons, self._faults, errors, bad, finite, active)
+        fault = self.fault_filter.inspect(reasons, self._faults, errors, bad, finite, active)
         success = reasons == EndReason.SUCCESS
         failure = (reasons == EndReason.MOVED) | (reasons == EndReason.TIME_LIMIT)
         reward = self._reward(contacts, self._distance(), self._object[:, 2].copy(), success, failure)
@@ -230,7 +230,7 @@ class TaskBatch:
         self._faults[world] = simulator.faults()
 
     def _distance(self) -> FloatArray:
-        """(N,) distance of the estimated centre from the hand's z axis, metres."""
+        """(N,) distance of the estimated center from the hand's z axis, meters."""
         local = np.einsum("nji,nj->ni", self._hand[:, :3, :2], self._center - self._hand[:, :3, 3])
         return np.sqrt(np.sum(local * local, axis=1))
 

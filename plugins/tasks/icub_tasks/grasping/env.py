@@ -34,7 +34,7 @@ class GraspEnv(EnvBase):
         tasks: The worlds.
         pool_size: Starts that each world keeps and draws again; 0 plans every start afresh.
         threads: Threads that step physics.
-        encoder: Sees the head camera's picture at every step; None leaves `visual` out.
+        encoder: Sees the head camera's image at every step; None leaves `visual` out.
         seed: Decides the starts.
     """
 

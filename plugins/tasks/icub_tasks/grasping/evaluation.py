@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
 from icub_core.errors import ConfigError
+from icub_core.interfaces.policy import Policy, Progress
 from icub_tasks.grasping.env import GraspEnv
 from icub_tasks.grasping.task import StartState
 from icub_tasks.grasping.termination import FIRST_FAULT, EndReason
-from icub_core.interfaces.policy import Policy, Progress
 
 StepRecorder = Callable[[int, GraspEnv, int, TensorDictBase], None]
 """Called after every step with world, environment, episode number and what that world's step gave (observation,
-`action`, `reward`, `reason`), to take pictures and to tell listeners."""
+`action`, `reward`, `reason`), to take images and to tell listeners."""
 
 WILSON_Z = 1.959963984540054
 
@@ -34,7 +34,7 @@ class EpisodeResults:
         steps: (E,) control steps.
         reasons: (E,) `EndReason`; faults are failures.
         objects: Name of each episode's object.
-        redraws: Object poses without a plan, which were drawn anew.
+        resamples: Object poses without a plan, which were drawn anew.
     """
 
     success: NDArray[np.bool_]
@@ -42,7 +42,7 @@ class EpisodeResults:
     steps: NDArray[np.int64]
     reasons: NDArray[np.int64]
     objects: tuple[str, ...]
-    redraws: int = 0
+    resamples: int = 0
 
     def __len__(self) -> int:
         return len(self.success)
@@ -109,7 +109,7 @@ def evaluate(
 ) -> EpisodeResults:
     """Run a policy deterministically for a number of episodes.
 
-    Episode e starts from the generator seeded with (seed, e), planned afresh from its own picture, in world e mod N:
+    Episode e starts from the generator seeded with (seed, e), planned afresh from its own image, in world e mod N:
     two policies evaluated with one seed in one environment meet the same starts, whatever they do in between.
 
     Args:
@@ -127,9 +127,9 @@ def evaluate(
     def start_of(world: int, episode: int) -> StartState:
         return env.batch.tasks[world].prepare(np.random.default_rng([seed, first + episode]))
 
-    redraws_before = _redraws(env)
+    resamples_before = _resamples(env)
     results = run_episodes(policy, env, episodes, start_of, recorder=recorder, progress=progress)
-    return replace(results, redraws=_redraws(env) - redraws_before)
+    return replace(results, resamples=_resamples(env) - resamples_before)
 
 
 def run_episodes(
@@ -191,7 +191,7 @@ def run_episodes(
     return EpisodeResults(success, returns, steps, reasons, tuple(names))
 
 
-def _redraws(env: GraspEnv) -> int:
+def _resamples(env: GraspEnv) -> int:
     return sum(sum(task.plan_failures.values()) for task in env.batch.tasks)
 
 
@@ -203,5 +203,5 @@ def merge(results: Sequence[EpisodeResults]) -> EpisodeResults:
         np.concatenate([r.steps for r in results]),
         np.concatenate([r.reasons for r in results]),
         tuple(name for r in results for name in r.objects),
-        sum(r.redraws for r in results),
+        sum(r.resamples for r in results),
     )

@@ -1,4 +1,4 @@
-"""Fault firewall: what the world did wrong never becomes experience, and is counted."""
+"""Fault fault filter: what the world did wrong never becomes experience, and is counted."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_tasks.grasping.termination import FIRST_FAULT, OF_SIMULATOR, EndReason
 from icub_core.interfaces.simulator import Fault
+from icub_tasks.grasping.termination import FIRST_FAULT, OF_SIMULATOR, EndReason
 
 POSITION_LAG = 0.03
-"""Metres between the wanted and the solved hand position at which inverse kinematics has failed (released code)."""
+"""Meters between the wanted and the solved hand position at which inverse kinematics has failed (released code)."""
 ROTATION_LAG = 0.5
 """Radians, likewise; the released code ignores orientation, which lets the hand turn over unnoticed."""
 
 
-class Firewall:
+class FaultFilter:
     """Turns faults into typed end reasons, worst first, and counts every end of an episode.
 
     DIFF: the thesis rewards a failed inverse kinematics with -1; here it is a truncation like every other fault, since

@@ -23,7 +23,7 @@ class GymGraspEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.float
 
     Args:
         task: The world.
-        render_width, render_height: Pixels of the head camera's pictures from `render`.
+        render_width, render_height: Pixels of the head camera's images from `render`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 40}
@@ -61,7 +61,7 @@ class GymGraspEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.float
         return self._observation(), float(result.reward[0]), terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8]:
-        """Return the head camera's picture (H, W, 3)."""
+        """Return the head camera's image (H, W, 3)."""
         width, height = self._render_size
         simulator = self._task.simulator
         center = simulator.object_pose(self._batch.object_name(0))[:3, 3]

@@ -16,13 +16,13 @@ from icub_core.scene import Table
 
 FloatArray = NDArray[np.float64]
 MaskProvider = Callable[[RgbdFrame, str], "NDArray[np.bool_] | None"]
-"""Finds the named object in a picture: (H, W) bool, or None when it is not seen."""
+"""Finds the named object in a image: (H, W) bool, or None when it is not seen."""
 
 FAR = 0.10
 NEAR = 0.05
-"""Metres before the grasp pose, on the line from object centre to hand (thesis 12.3.1)."""
+"""Meters before the grasp pose, on the line from object center to hand (thesis 12.3.1)."""
 LIFT = 0.11
-"""Metres above the grasp that the hand must also reach, or the task could not be completed."""
+"""Meters above the grasp that the hand must also reach, or the task could not be completed."""
 
 
 class PlanFailure(Enum):
@@ -62,7 +62,7 @@ def plan_grasp(
     table: Table | None,
     hand: str = "right",
 ) -> GraspPlan | PlanFailure:
-    """Plan from one picture: masked cloud, proposals, the first that inverse kinematics reaches.
+    """Plan from one image: masked cloud, proposals, the first that inverse kinematics reaches.
 
     Generators promise the grasp and its pre-grasp poses; the lifted pose is the task's affair and is tested here.
     """

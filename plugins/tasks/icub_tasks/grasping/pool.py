@@ -1,7 +1,7 @@
 """Starts of episodes: planned afresh, or drawn again from those planned before.
 
 Rendering, planning and the way to the pre-grasp pose cost more than a short episode. While a policy learns, a world
-keeps the starts it has planned (each from its own picture) and draws from them; a share of the starts stays fresh.
+keeps the starts it has planned (each from its own image) and draws from them; a share of the starts stays fresh.
 Evaluation always plans afresh.
 """
 

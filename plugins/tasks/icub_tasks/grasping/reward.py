@@ -3,7 +3,7 @@
 r = r_fingers + r_distance + r_height + r_end, with n the number of fingertips in contact (thesis 12.3.1, eq. 12.1):
 
 - r_fingers = n(t+1) - n(t);
-- r_distance = d(t) - d(t+1) in cm, d the distance of the estimated object centre from the hand frame's z axis, that
+- r_distance = d(t) - d(t+1) in cm, d the distance of the estimated object center from the hand frame's z axis, that
   is the norm of its x and y coordinates in that frame, as long as fewer than two fingers have touched;
 - r_height = n(t+1) * (h(t+1) - h(t)) in mm, for a rise when n(t+1) >= 2, for a fall once two fingers have touched;
 - r_end = +1 for success, -1 for every failure, the time limit included.
@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-MILLIMETRES = 1000.0
-CENTIMETRES = 100.0
+MILLIMETERS = 1000.0
+CENTIMETERS = 100.0
 FINGERS_OF_A_GRASP = 2
 
 
@@ -37,7 +37,7 @@ class GraspReward:
         self.two_touched: BoolArray = np.zeros(worlds, dtype=np.bool_)
 
     def begin(self, world: int, *, contacts: float, distance: float, height: float) -> None:
-        """Start an episode of one world from what holds at its first step: count, metres, metres."""
+        """Start an episode of one world from what holds at its first step: count, meters, meters."""
         self._contacts[world], self._distance[world], self._height[world] = contacts, distance, height
         self.two_touched[world] = contacts >= FINGERS_OF_A_GRASP
 
@@ -48,17 +48,17 @@ class GraspReward:
 
         Args:
             contacts: (N,) fingertips in contact after the step.
-            distance: (N,) distance of the object centre from the hand's z axis after the step, metres.
-            height: (N,) height of the object after the step, metres.
+            distance: (N,) distance of the object center from the hand's z axis after the step, meters.
+            height: (N,) height of the object after the step, meters.
             success: (N,) the episode ends with the object lifted.
             failure: (N,) the episode ends otherwise.
         """
         holds = contacts >= FINGERS_OF_A_GRASP
         self.two_touched |= holds
-        rise = (height - self._height) * MILLIMETRES
+        rise = (height - self._height) * MILLIMETERS
         counts = np.where(rise > 0, holds, self.two_touched)
         rewards = (contacts - self._contacts) + counts * contacts * rise
-        rewards += ~self.two_touched * (self._distance - distance) * CENTIMETRES
+        rewards += ~self.two_touched * (self._distance - distance) * CENTIMETERS
         rewards += success
         rewards -= failure
         self._contacts, self._distance, self._height = contacts, distance, height

@@ -38,7 +38,7 @@ OBSERVATION_SIZES = {HAND_POSE: 6, FINGERS: 9, TOUCH: 5, OBJECT_CENTER: 3}
 PLAN_START, PLAN_GRASP, PLAN_STEP = slice(0, 3), slice(3, 6), 6
 PLAN_OPENED, PLAN_CLOSED, PLAN_FINGER_STEP = slice(7, 16), slice(16, 25), slice(25, 34)
 PLAN_SIZE = 34
-"""Privileged entry for scripted policies only: positions of the pre-grasp and of the grasp (world, metres), control
+"""Privileged entry for scripted policies only: positions of the pre-grasp and of the grasp (world, meters), control
 steps done, and of the nine finger actuators the opened and closed command and what an action of 1 moves (rad)."""
 
 
@@ -70,7 +70,7 @@ class HandLayout:
 
     @property
     def action_scale(self) -> FloatArray:
-        """(15,) what an action of 1 means: metres, radians."""
+        """(15,) what an action of 1 means: meters, radians."""
         return np.concatenate([np.full(3, TRANSLATION_STEP), np.full(3, ROTATION_STEP), self.finger_step])
 
 

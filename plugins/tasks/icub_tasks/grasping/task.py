@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from icub_core.errors import ConfigError, SimulationError, unknown_name
 from icub_core.geometry import make_transform, quat_wxyz_to_matrix, rotation_about
 from icub_core.governor import SafetyGovernor
-from icub_tasks.grasping.plan import GraspPlan, MaskProvider, PlanFailure, plan_grasp
-from icub_tasks.grasping.spaces import TRANSLATION_STEP, HandLayout, hand_layout, pose_vector
-from icub_tasks.grasping.tracking import HandTracker
 from icub_core.interfaces.grasp_generator import GraspGenerator
 from icub_core.interfaces.robot import Robot
 from icub_core.interfaces.simulator import Rendering, Simulator
+from icub_tasks.grasping.plan import GraspPlan, MaskProvider, PlanFailure, plan_grasp
+from icub_tasks.grasping.spaces import TRANSLATION_STEP, HandLayout, hand_layout, pose_vector
+from icub_tasks.grasping.tracking import HandTracker
 
 FloatArray = NDArray[np.float64]
 
@@ -29,14 +29,14 @@ TRANSFER_STEPS = 50
 TRANSFER_MOVING = 40
 """Control steps from home to the 10 cm pose; the joints arrive after the second number (released code)."""
 APPROACH_STEP = TRANSLATION_STEP / 2
-"""Metres a control step from the 10 cm to the 5 cm pose (released code)."""
-MOST_REDRAWS = 100
+"""Meters a control step from the 10 cm to the 5 cm pose (released code)."""
+MAX_RESAMPLES = 100
 """Object poses without a plan in a row after which the object counts as not graspable."""
 
 ARM_SPEED, ARM_ACCELERATION = 3.0, 120.0
 """rad/s and rad/s^2 of every joint but the fingers': peak of the transfer, one full reversal of a hand step."""
 WORKSPACE = np.array([[-0.65, -0.45, 0.93], [0.0, 0.55, 1.60]])
-"""Lowest and highest hand position, world, metres: in front of the robot, above the table."""
+"""Lowest and highest hand position, world, meters: in front of the robot, above the table."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,12 @@ class TaskSettings:
 
     Attributes:
         max_steps: Time limit of an episode, control steps (thesis 2000; scripted episodes here need about 190).
-        lift: Metres the object must rise.
-        moved: Metres sideways at which it was moved too far.
-        fallen: Metres its centre may sink before it counts as toppled or fallen.
-        x_range, y_range: Where objects are placed, world, metres.
+        lift: Meters the object must rise.
+        moved: Meters sideways at which it was moved too far.
+        fallen: Meters its center may sink before it counts as toppled or fallen.
+        x_range, y_range: Where objects are placed, world, meters.
         camera: Name of the robot's camera; None takes the first.
-        width, height: Pixels of the picture that is planned from.
+        width, height: Pixels of the image that is planned from.
     """
 
     max_steps: int = 250
@@ -74,7 +74,7 @@ class StartState:
         q_command: (n,) commanded joints.
         target: (6,) commanded hand pose, x, y, z, yaw, pitch, roll.
         command: (m,) command sent last.
-        object_rest: (3,) object position at rest before the hand came, metres.
+        object_rest: (3,) object position at rest before the hand came, meters.
     """
 
     plan: GraspPlan
@@ -93,7 +93,7 @@ class GraspTask:
         robot: The same robot.
         generator: Plans grasps from the masked cloud.
         objects: Names of the objects to grasp, one drawn for each episode; None takes all of the scene.
-        masks: Finds the object in the picture; None takes the simulator's own segmentation.
+        masks: Finds the object in the image; None takes the simulator's own segmentation.
         hand: ``"right"`` or ``"left"``.
         settings: Numbers of the task.
         seed: Decides object, place and turn of every episode.
@@ -147,7 +147,7 @@ class GraspTask:
         """
         rng = rng or self._rng
         failures: Counter[PlanFailure] = Counter()
-        for _ in range(MOST_REDRAWS):
+        for _ in range(MAX_RESAMPLES):
             name = self.objects[int(rng.integers(len(self.objects)))]
             rest = self.place(name, rng)
             plan = self.plan(name)
@@ -156,10 +156,10 @@ class GraspTask:
             failures[plan] += 1
             self.plan_failures[plan] += 1
         worst = failures.most_common(1)[0][0]
-        raise SimulationError(f"no grasp plan for {list(self.objects)} in {MOST_REDRAWS} poses: mostly, {worst.value}")
+        raise SimulationError(f"no grasp plan for {list(self.objects)} in {MAX_RESAMPLES} poses: mostly, {worst.value}")
 
     def place(self, name: str, rng: np.random.Generator) -> FloatArray:
-        """Reset the world, put the object on the table at random, let it settle; returns its position (3,), metres."""
+        """Reset the world, put the object on the table at random, let it settle; returns its position (3,), meters."""
         spec, settings = self._specs[name], self.settings
         table = self.simulator.scene.table
         top = table.top if table is not None else 0.0
@@ -171,7 +171,7 @@ class GraspTask:
         return self.simulator.object_pose(name)[:3, 3].copy()
 
     def look(self, name: str) -> Rendering:
-        """Take the picture that grasps are planned from: the head camera turned to the object (thesis)."""
+        """Take the image that grasps are planned from: the head camera turned to the object (thesis)."""
         return self.simulator.render(
             self.camera,
             self.settings.width,

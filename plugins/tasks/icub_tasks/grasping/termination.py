@@ -49,18 +49,18 @@ def end_reasons(
 ) -> NDArray[np.int64]:
     """Return the reasons (N,) of worlds without a fault.
 
-    Success needs the object `lift` metres up and at least two fingertips on it ("grasped and uplifted"); the released
-    code asks for the height only. An object has "moved too far" when it went more than `moved` metres sideways before
-    it was lifted that far, or its centre sank by `fallen` metres because it toppled or left the table; the released
+    Success needs the object `lift` meters up and at least two fingertips on it ("grasped and uplifted"); the released
+    code asks for the height only. An object has "moved too far" when it went more than `moved` meters sideways before
+    it was lifted that far, or its center sank by `fallen` meters because it toppled or left the table; the released
     code tests the height alone.
 
     Args:
-        displacement: (N, 3) object centre now minus at the start, metres.
+        displacement: (N, 3) object center now minus at the start, meters.
         contacts: (N,) fingertips in contact.
         steps: (N,) steps done in the episode.
-        lift: Rise that counts as lifted, metres.
-        moved: Sideways motion that is too far, metres.
-        fallen: Sinking that counts as toppled or fallen, metres.
+        lift: Rise that counts as lifted, meters.
+        moved: Sideways motion that is too far, meters.
+        fallen: Sinking that counts as toppled or fallen, meters.
         max_steps: Time limit.
     """
     reasons = np.where(steps >= max_steps, int(EndReason.TIME_LIMIT), int(EndReason.RUNNING))

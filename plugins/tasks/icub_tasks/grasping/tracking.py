@@ -1,4 +1,4 @@
-"""Inverse kinematics that follows a hand target moving by millimetres: one damped step a control step, batched.
+"""Inverse kinematics that follows a hand target moving by millimeters: one damped step a control step, batched.
 
 dq = J^T (J J^T + lambda I)^-1 e on the joints that are not at a limit (active set); what one step leaves is part of the
 next step's error e. Source: measurements with 1 and 2 iterations leave 0.04 mm and 0.02 mm on average.
@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_tasks.grasping.spaces import HandLayout, euler_to_matrix
 from icub_core.interfaces.robot import Robot
+from icub_tasks.grasping.spaces import HandLayout, euler_to_matrix
 
 FloatArray = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""The visual part of the observation: an encoder's features of three pictures, stacked as in Flare."""
+"""The visual part of the observation: an encoder's features of three images, stacked as in Flare."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ HISTORY = 3
 
 
 class VisualEncoder(ABC):
-    """Turns a picture into one feature vector. Contract: deterministic; pictures of any size."""
+    """Turns a image into one feature vector. Contract: deterministic; images of any size."""
 
     @property
     @abstractmethod
@@ -23,11 +23,11 @@ class VisualEncoder(ABC):
 
     @abstractmethod
     def encode(self, rgb: NDArray[np.uint8]) -> torch.Tensor:
-        """Encode a picture (H, W, 3) uint8: (F,) float32."""
+        """Encode a image (H, W, 3) uint8: (F,) float32."""
 
 
 class PictureEncoder(VisualEncoder):
-    """Describes the whole picture as one region of a feature extractor, scaled to entries near the size of 1."""
+    """Describes the whole image as one region of a feature extractor, scaled to entries near the size of 1."""
 
     def __init__(self, extractor: FeatureExtractor) -> None:
         """Encode with any feature extractor plugin."""
@@ -39,7 +39,7 @@ class PictureEncoder(VisualEncoder):
         return self._extractor.region_dim
 
     def encode(self, rgb: NDArray[np.uint8]) -> torch.Tensor:
-        """Encode a picture (H, W, 3) uint8: (region_dim,) float32, of root mean square 1."""
+        """Encode a image (H, W, 3) uint8: (region_dim,) float32, of root mean square 1."""
         height, width = rgb.shape[:2]
         with torch.no_grad():
             image = self._extractor.extract(rgb)
@@ -58,7 +58,7 @@ def flare(features: torch.Tensor) -> torch.Tensor:
 
 
 class VisualStack:
-    """Features of the last three pictures of every world. A first picture fills the whole history.
+    """Features of the last three images of every world. A first image fills the whole history.
 
     One feature vector is kept for a step; the stack is made when it is asked for, which is what lets a replay buffer
     keep F numbers a step instead of 10 F.
@@ -74,11 +74,11 @@ class VisualStack:
         return 5 * self._encoder.size
 
     def begin(self, world: int, rgb: NDArray[np.uint8]) -> None:
-        """Start an episode of one world with its first picture."""
+        """Start an episode of one world with its first image."""
         self._features[world] = self._encoder.encode(rgb)
 
     def push(self, world: int, rgb: NDArray[np.uint8]) -> None:
-        """Add the newest picture of one world."""
+        """Add the newest image of one world."""
         self._features[world] = torch.cat([self._features[world, 1:], self._encoder.encode(rgb)[None]])
 
     def stacked(self) -> torch.Tensor:
