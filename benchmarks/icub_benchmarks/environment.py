@@ -30,7 +30,7 @@ import torch
 from rich.console import Console
 from rich.progress import track
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.evaluation.results import Figure, write_results
 from icub_core.scene import Scene
 from icub_core.workers import Workers
@@ -59,11 +59,11 @@ class Clock:
 
 def build(name: str, worlds: int, seed: int, threads: int = 1) -> tuple[GraspEnv, list[StartState]]:
     """Return an environment with one object, and a planned start for each of its worlds."""
-    robot, generator = registry.build("robot", "icub"), registry.build("grasp_generator", "superquadrics")
-    spec = registry.build("objects", "ycb_primitives").get(name)
+    robot, generator = build("robot", "icub"), build("grasp_generator", "superquadrics")
+    spec = build("objects", "ycb_primitives").get(name)
     tasks = []
     for world in range(worlds):
-        simulator = registry.build("simulator", "mujoco")
+        simulator = build("simulator", "mujoco")
         simulator.load(robot.description, Scene(objects=(spec,)))
         tasks.append(GraspTask(simulator, robot, generator, [name], seed=seed + world))
     starts = [task.prepare() for task in track(tasks, description=f"plans for {name}", transient=True)]
@@ -72,7 +72,7 @@ def build(name: str, worlds: int, seed: int, threads: int = 1) -> tuple[GraspEnv
 
 def play(env: GraspEnv, starts: Sequence[StartState], clock: Callable[[], float]) -> tuple[int, float, float]:
     """Play every start to its end; returns control steps, seconds, and those of them inside the environment."""
-    teacher = registry.build("policy", "demonstrations")
+    teacher = build("policy", "demonstrations")
     for world, start in enumerate(starts):
         env.begin(world, start)
     observation = env.observe()

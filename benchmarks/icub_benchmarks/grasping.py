@@ -27,13 +27,13 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.evaluation.results import Figure, write_results
 from icub_core.files import write_text_atomically
 from icub_core.interfaces.policy import LearnReport, Policy
+from icub_core.rollouts import EpisodeResults, merge, paired_gain, run_episodes
 from icub_core.scene import Scene
 from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.evaluation import EpisodeResults, merge, paired_gain, run_episodes
 from icub_tasks.grasping.task import GraspTask, StartState
 
 RESULTS = Path(__file__).resolve().parent / "results" / "grasping.json"
@@ -48,12 +48,12 @@ LEARNING_SEEDS = [0, 1, 2]
 
 def build_env(name: str, worlds: int, threads: int, seed: int) -> GraspEnv:
     """Return worlds with one YCB object each."""
-    robot = registry.build("robot", "icub")
-    generator = registry.build("grasp_generator", "superquadrics")
-    spec = registry.build("objects", "ycb_primitives").get(name)
+    robot = build("robot", "icub")
+    generator = build("grasp_generator", "superquadrics")
+    spec = build("objects", "ycb_primitives").get(name)
     tasks = []
     for world in range(worlds):
-        simulator = registry.build("simulator", "mujoco")
+        simulator = build("simulator", "mujoco")
         simulator.load(robot.description, Scene(objects=(spec,)))
         tasks.append(GraspTask(simulator, robot, generator, [name], seed=seed + world))
     return GraspEnv(tasks, pool_size=16, threads=threads, seed=seed)
@@ -102,7 +102,7 @@ def demonstrations(options: argparse.Namespace, bar: Progress) -> dict[str, Figu
     for name in options.objects or EASY:
         env = build_env(name, options.worlds, options.threads, options.seed)
         tests = Tests(env, options.episodes, bar)
-        results = tests(registry.build("policy", "demonstrations"), f"demonstrations, {name}")
+        results = tests(build("policy", "demonstrations"), f"demonstrations, {name}")
         figures[f"demonstrations.success_rate.{name}"] = rate(results)
         everything.append(results)
         resamples += tests.resamples
@@ -117,10 +117,10 @@ def demonstrations(options: argparse.Namespace, bar: Progress) -> dict[str, Figu
 def base(options: argparse.Namespace, bar: Progress) -> dict[str, Figure]:
     """Measure the shipped base policy on every object: where it stays under 0.9 there is something to gain."""
     figures = {}
-    for name in options.objects or registry.build("objects", "ycb_primitives").names:
+    for name in options.objects or build("objects", "ycb_primitives").names:
         env = build_env(name, options.worlds, options.threads, options.seed)
         tests = Tests(env, options.episodes, bar)
-        policy = registry.build("policy", {"plugin": "gpayn", "weights": BASE})
+        policy = build("policy", {"plugin": "gpayn", "weights": BASE})
         figures[f"base.success_rate.{name}"] = rate(tests(policy, f"base, {name}"))
         env.close()
     return figures
@@ -196,11 +196,11 @@ def learn_and_test(name: str, seed: int, options: argparse.Namespace, bar: Progr
     env = build_env(name, options.worlds, options.threads, seed)
     seconds = options.seconds if options.env_steps is None else None
     budget = {"seconds": seconds, "env_steps": options.env_steps, "seed": seed}
-    policy = registry.build("policy", {"plugin": "resprect", "base": BASE, **budget})
+    policy = build("policy", {"plugin": "resprect", "base": BASE, **budget})
     folder.mkdir(parents=True, exist_ok=True)
     report = policy.learn(env, folder, shown_in(bar, f"resprect learns {name}, seed {seed}"))
     tests = Tests(env, options.episodes, bar)
-    frozen = tests(registry.build("policy", {"plugin": "gpayn", "weights": BASE}), f"base, {name}")
+    frozen = tests(build("policy", {"plugin": "gpayn", "weights": BASE}), f"base, {name}")
     outcome = Outcome(frozen, tests(policy, f"resprect, {name}, seed {seed}"), report)
     env.close()
     outcome.write(path)

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.errors import ConfigError
 from icub_core.interfaces.policy import Policy, Progress
+from icub_core.rollouts import EpisodeResults, evaluate, merge
 from icub_core.scene import Scene
 from icub_core.workers import Workers
 from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.evaluation import EpisodeResults, evaluate, merge
 from icub_tasks.grasping.task import GraspTask, TaskSettings
 from icub_tasks.grasping.termination import EndReason
 
@@ -54,14 +54,14 @@ class EnvRecipe:
 
     def build(self) -> GraspEnv:
         """Build the worlds."""
-        robot = registry.build("robot", self.robot)
-        generator = registry.build("grasp_generator", self.generator)
-        objects = registry.build("objects", self.object_set)
+        robot = build("robot", self.robot)
+        generator = build("grasp_generator", self.generator)
+        objects = build("objects", self.object_set)
         names = objects.names if self.objects is None else self.objects
         scene = Scene(objects=tuple(objects.get(name) for name in names))
         tasks = []
         for _ in range(self.worlds):
-            simulator = registry.build("simulator", self.simulator)
+            simulator = build("simulator", self.simulator)
             simulator.load(robot.description, scene)
             tasks.append(GraspTask(simulator, robot, generator, hand=self.hand, settings=self.settings))
         return GraspEnv(tasks)
@@ -116,7 +116,7 @@ def evaluate_in_workers(
 
 def _make_handler(recipe: EnvRecipe, policy: PluginConfig, seed: int) -> Callable[[_Chunk], EpisodeResults]:
     torch.set_num_threads(1)  # one process a core
-    return partial(_run_chunk, recipe.build(), registry.build("policy", policy), seed)
+    return partial(_run_chunk, recipe.build(), build("policy", policy), seed)
 
 
 def _run_chunk(env: GraspEnv, policy: Policy, seed: int, chunk: _Chunk) -> EpisodeResults:

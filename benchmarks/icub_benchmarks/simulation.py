@@ -63,7 +63,7 @@ class ScriptedGrasp:
         grasp = make_transform(R, face - R @ np.array([0.032, -0.002, 0.006]))
         outward = grasp[:3, 3] - center
         outward /= np.linalg.norm(outward)
-        frame, q = d.hand_frames["right"], d.home_q
+        frame, q = d.hand("right").frame, d.home_q
         A, b = d.actuator_matrix()
         path = [grasp[:3, 3] + (APPROACH - k) * SPEED * outward for k in range(APPROACH + 1)]
         path += [grasp[:3, 3] + np.array([0.0, 0.0, k * SPEED]) for k in range(1, LIFT + 1)]
@@ -75,7 +75,7 @@ class ScriptedGrasp:
             q = solution.q
             self.q.append(q)
             self.lengths.append(A @ q + b)
-        self._hand = d.actuator_indices(d.hand_actuators["right"])
+        self._hand = d.actuator_indices(d.hand("right").actuators)
         hand = [d.actuators[i] for i in self._hand]
         self._open = np.array([a.open for a in hand])
         self._stroke = np.array([a.close for a in hand]) - self._open

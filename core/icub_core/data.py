@@ -136,11 +136,11 @@ class Grasp:
     """One hand pose from which closing the fingers should hold the object.
 
     Attributes:
-        T_world_hand: (4, 4) pose of the hand frame (`r_hand_dh_frame` or `l_hand_dh_frame`) at the grasp.
+        T_world_hand: (4, 4) pose of the hand's frame (`HandDescription.frame`) at the grasp.
         object_center: (3,) estimate of the object's center, world, meters.
         score: Higher is better; comparable only within one generator.
         generator: Registry name of the generator.
-        hand: ``"right"`` or ``"left"``.
+        hand: Name of the hand in the robot's description.
     """
 
     T_world_hand: FloatArray
@@ -152,7 +152,7 @@ class Grasp:
     def __post_init__(self) -> None:
         _require(is_rigid(self.T_world_hand), "Grasp.T_world_hand is not a rigid (4, 4) transform")
         _require(self.object_center.shape == (3,), f"Grasp.object_center is {self.object_center.shape}; expected (3,)")
-        _require(self.hand in ("right", "left"), f"Grasp.hand is '{self.hand}'; expected 'right' or 'left'")
+        _require(bool(self.hand), "Grasp.hand is empty; expected the name of a hand")
 
     def backed_off(self, distance: float) -> FloatArray:
         """Return the (4, 4) hand pose `distance` meters further out on the line from object center to hand.
@@ -188,10 +188,10 @@ class RobotState:
         q: (n,) joint positions, rad, ordered as `robot.joint_names`.
         dq: (n,) joint velocities, rad/s.
         actuator_positions: (m,) actuated lengths sum(coef * q) + offset, rad, ordered as the description's actuators.
-        fingertip_contacts: (5,) bool: thumb, index, middle, ring, little touch an object.
+        fingertip_contacts: (t,) bool, which fingertips of the first hand touch an object.
     """
 
     q: FloatArray
     dq: FloatArray
     actuator_positions: FloatArray
-    fingertip_contacts: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(5, dtype=np.bool_))
+    fingertip_contacts: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))

@@ -25,7 +25,7 @@ class SafetyGovernor:
         max_speed: (m,) rad/s.
         max_acceleration: (m,) rad/s^2.
         control_step: Seconds between two commands.
-        workspace: (2, 3) lowest and highest hand position that may be asked for, world, meters.
+        workspace: (2, 3) lowest and highest hand position that may be asked for, world, meters; None permits all.
         worlds: Number of command streams.
     """
 
@@ -36,7 +36,7 @@ class SafetyGovernor:
         max_speed: FloatArray,
         max_acceleration: FloatArray,
         control_step: float,
-        workspace: FloatArray,
+        workspace: FloatArray | None,
         worlds: int = 1,
     ) -> None:
         self._lower, self._upper = lower, upper
@@ -72,6 +72,8 @@ class SafetyGovernor:
 
     def limit_position(self, position: FloatArray) -> FloatArray:
         """Clip wanted hand positions (N, 3), meters, to the workspace."""
+        if self._workspace is None:
+            return position
         return np.minimum(np.maximum(position, self._workspace[0]), self._workspace[1])
 
     def limit(self, commands: FloatArray) -> FloatArray:
@@ -96,12 +98,12 @@ class SafetyGovernor:
         self._last = np.minimum(np.maximum(self._last + self._speed * h, self._lower), self._upper)
         return self._last.copy()
 
-    def state(self) -> dict[str, NDArray[np.generic]]:
+    def state_dict(self) -> dict[str, NDArray[np.generic]]:
         """Return copies of what the next commands depend on."""
         return {"last": self._last.copy(), "speed": self._speed.copy(), "held": self._held.copy()}
 
-    def restore(self, state: dict[str, NDArray[np.generic]]) -> None:
-        """Take back what `state` returned."""
+    def load_state_dict(self, state: dict[str, NDArray[np.generic]]) -> None:
+        """Restore what `state_dict` returned."""
         self._last = np.array(state["last"], dtype=np.float64)
         self._speed = np.array(state["speed"], dtype=np.float64)
         self._held = np.array(state["held"], dtype=np.bool_)

@@ -54,8 +54,8 @@ class EventSpecs:
         """A run begins; `config` is resolved and plain."""
 
     @_event
-    def icub_run_end(self, metrics: Mapping[str, float], run_dir: Path, error: BaseException | None) -> None:
-        """A run is over; `error` is None, or what ended it (also KeyboardInterrupt)."""
+    def icub_run_end(self, run: Any, metrics: Mapping[str, float], run_dir: Path, error: BaseException | None) -> None:
+        """A run is over; `run` is its `icub_core.run.Run`, `error` None or what ended it (also KeyboardInterrupt)."""
 
     @_event
     def icub_stage_start(self, stage: str) -> None:

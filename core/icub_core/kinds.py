@@ -1,7 +1,8 @@
 """The kinds of plugins: what each is called everywhere and which interface it implements.
 
 One word is the key of the registry, the group of the configuration, the suffix of the entry-point group and, in a
-constructor, the name of the parameter that receives an instance of that kind.
+constructor, the name of the parameter that receives an instance of that kind (a zero-argument factory of instances where
+the annotation is a Callable).
 """
 
 from __future__ import annotations
@@ -21,14 +22,13 @@ class Kind:
         name: Key in the registry and group in the configuration.
         interface: ``module:Class`` of the abstract base class; imported only when a plugin is loaded.
         summary: What plugins of this kind do, in a few words.
-        passed_as_factory: A plugin that depends on this kind receives a zero-argument factory, because it needs
-            several independent instances, rather than one instance.
+        version: Of the interface; it rises when a plugin that kept the contract must be changed to keep it again.
     """
 
     name: str
     interface: str
     summary: str
-    passed_as_factory: bool = False
+    version: int = 1
 
     @property
     def entry_point_group(self) -> str:
@@ -36,22 +36,24 @@ class Kind:
         return ENTRY_POINT_PREFIX + self.name
 
 
-def _kind(name: str, module: str, cls: str, summary: str, passed_as_factory: bool = False) -> Kind:
-    return Kind(name, f"icub_core.interfaces.{module}:{cls}", summary, passed_as_factory)
+def _kind(name: str, module: str, cls: str, summary: str, version: int = 1) -> Kind:
+    return Kind(name, f"icub_core.interfaces.{module}:{cls}", summary, version)
 
 
 KINDS: dict[str, Kind] = {
     kind.name: kind
     for kind in (
         _kind("feature_extractor", "feature_extractor", "FeatureExtractor", "pre-trained features and regions"),
-        _kind("online_head", "online_head", "OnlineHead", "classifiers trained in seconds on features", True),
+        _kind("online_head", "online_head", "OnlineHead", "classifiers trained in seconds on features"),
         _kind("segmenter", "segmenter", "Segmenter", "learns objects from a stream and finds them again"),
-        _kind("grasp_generator", "grasp_generator", "GraspGenerator", "hand poses from a point cloud"),
-        _kind("policy", "policy", "Policy", "closes the hand around the object"),
-        _kind("simulator", "simulator", "Simulator", "physics and cameras"),
-        _kind("robot", "robot", "Robot", "description and kinematics"),
+        _kind("grasp_generator", "grasp_generator", "GraspGenerator", "hand poses from a point cloud", 2),
+        _kind("policy", "policy", "Policy", "controls arm and hand in a task", 2),
+        _kind("simulator", "simulator", "Simulator", "physics and cameras", 2),
+        _kind("robot", "robot", "Robot", "description and kinematics", 2),
         _kind("objects", "object_set", "ObjectSet", "named objects to put on a table"),
         _kind("dataset", "dataset", "Dataset", "annotated images"),
+        _kind("task", "task", "Task", "episodes with rewards, as a batch of worlds"),
+        _kind("pipeline", "pipeline", "Pipeline", "what a run does, stage by stage"),
     )
 }
 

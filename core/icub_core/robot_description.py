@@ -26,6 +26,9 @@ class Actuator:
         range: Lowest and highest command, rad.
         offset: Added to the weighted sum, rad.
         open, close: Commands of the open and the closed hand; equal for arm joints, where they mean nothing.
+        step: What one control step may at most change the command by, for an actuator of a hand; 0 for an arm's.
+        max_speed: Command change per second that the robot permits, rad/s.
+        max_acceleration: Change of that speed per second, rad/s^2.
     """
 
     name: str
@@ -35,6 +38,54 @@ class Actuator:
     offset: float = 0.0
     open: float = 0.0
     close: float = 0.0
+    step: float = 0.0
+    max_speed: float = 3.0
+    max_acceleration: float = 120.0
+
+
+@dataclass(frozen=True, eq=False)
+class Grip:
+    """Where a hand holds an object, as a planner needs it.
+
+    The grip frame has its origin on the palm's surface, between the opposed fingers: x is the axis along which the
+    hand closes, z the approach axis (out of the palm, towards the object), y completes the right-handed frame.
+
+    Attributes:
+        T_hand_grip: (4, 4) pose of the grip frame in the hand's frame.
+        width: Widest object that fits between the fingers, meters.
+        fingers_y: (k,) positions along y at which the fingers close, meters.
+        depth: Height above the palm, along z, at which they close, meters.
+        sweep: (3, 2) lowest and highest x, y, z that the closing fingers pass through, grip frame, meters.
+    """
+
+    T_hand_grip: NDArray[np.float64]
+    width: float
+    fingers_y: NDArray[np.float64]
+    depth: float
+    sweep: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class HandDescription:
+    """One hand and what carries it.
+
+    Attributes:
+        name: Such as ``"right"``.
+        frame: Link that grasp poses are stated for.
+        reach: Joint group that places `frame`.
+        actuators: Names of the hand's actuators, in the order of observations and actions.
+        fingertips: Links that report touch, in the order of observations.
+        grip: Where the hand holds an object; None for a hand that planners cannot use.
+        workspace: (2, 3) lowest and highest world position at which `frame` may be commanded, meters; None permits all.
+    """
+
+    name: str
+    frame: str
+    reach: str
+    actuators: tuple[str, ...]
+    fingertips: tuple[str, ...]
+    grip: Grip | None = None
+    workspace: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -93,13 +144,9 @@ class RobotDescription:
         joint_names: Movable joints in the order of every joint vector.
         lower, upper: (n,) limits, rad.
         groups: Joint names by group, such as ``right_arm``, ``torso``, ``right_hand``.
-        actuators: In the order of every command vector: torso, neck, arms, each arm followed by its hand's nine, so the
-            last nine are those of the (only, or the right) hand.
+        actuators: In the order of every command vector.
         home: Joint positions at rest, rad; unlisted joints are 0.
-        fingertips: Links by hand (``"right"``, ``"left"``): thumb, index, middle, ring, little.
-        hand_frames: Frame of each hand that grasps are stated in.
-        hand_actuators: Actuator names by hand, in the order of observations and actions: hand_finger, thumb_oppose,
-            thumb_proximal, thumb_distal, index_proximal, index_distal, middle_proximal, middle_distal, pinky.
+        hands: By name; the first is the one that is used where none is named.
         dynamics, contacts: By joint, by link; absent names take the defaults.
         contact_excludes: Pairs of links that never collide.
         capsule_links: Links whose every ``<cylinder>`` in the URDF stands for a capsule of that radius, with its end
@@ -118,9 +165,7 @@ class RobotDescription:
     groups: Mapping[str, tuple[str, ...]]
     actuators: tuple[Actuator, ...]
     home: Mapping[str, float]
-    fingertips: Mapping[str, tuple[str, ...]]
-    hand_frames: Mapping[str, str]
-    hand_actuators: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    hands: Mapping[str, HandDescription] = field(default_factory=dict)
     cameras: tuple[RobotCamera, ...] = ()
     dynamics: Mapping[str, JointDynamics] = field(default_factory=dict)
     contacts: Mapping[str, ContactMaterial] = field(default_factory=dict)
@@ -133,6 +178,34 @@ class RobotDescription:
     def home_q(self) -> NDArray[np.float64]:
         """Home pose as a joint vector (n,), rad."""
         return np.array([self.home.get(name, 0.0) for name in self.joint_names])
+
+    def hand(self, name: str | None = None) -> HandDescription:
+        """Return a hand by name, or the first; ConfigError names the nearest, or says that the robot has none."""
+        if not self.hands:
+            raise ConfigError(f"robot '{self.name}' has no hand")
+        if name is None:
+            return next(iter(self.hands.values()))
+        if name not in self.hands:
+            raise ConfigError(unknown_name(f"hand of robot '{self.name}'", name, self.hands))
+        return self.hands[name]
+
+    def reach_group(self, frame: str) -> str:
+        """Return the joint group that places a hand's frame; ConfigError for a frame that belongs to no hand."""
+        for hand in self.hands.values():
+            if hand.frame == frame:
+                return hand.reach
+        raise ConfigError(f"'{frame}' is no hand's frame of robot '{self.name}'; name the joint group to move")
+
+    def camera(self, name: str | None = None) -> RobotCamera:
+        """Return a camera by name, or the first; ConfigError names the nearest, or says that the robot has none."""
+        known = {camera.name: camera for camera in self.cameras}
+        if not known:
+            raise ConfigError(f"robot '{self.name}' has no camera")
+        if name is None:
+            return self.cameras[0]
+        if name not in known:
+            raise ConfigError(unknown_name(f"camera of robot '{self.name}'", name, known))
+        return known[name]
 
     def indices(self, group: str) -> NDArray[np.intp]:
         """Return where the joints of `group` stand in a joint vector; ConfigError names the nearest group."""

@@ -71,7 +71,7 @@ def check_order(make: Make) -> None:
 def check_hand(make: Make) -> None:
     """Grasps are for the hand that was asked for."""
     hands = {grasp.hand for grasp in _proposed(make).grasps}
-    expect(hands <= {"right"}, "the right hand", hands)
+    expect(hands <= {TinyRobot().description.hand().name}, "the first hand", hands)
 
 
 def check_reachable(make: Make) -> None:
@@ -80,7 +80,7 @@ def check_reachable(make: Make) -> None:
     for grasp in make().propose(_surface(), robot, TABLE).grasps:
         for distance in PRE_GRASPS:
             pose = grasp.backed_off(distance)
-            solution = robot.inverse_kinematics(pose, robot.description.home_q, robot.description.hand_frames["right"])
+            solution = robot.inverse_kinematics(pose, robot.description.home_q, robot.description.hand().frame)
             expect(
                 solution.reached, f"a pose {distance} m before the grasp that is reached", pose[:3, 3].round(3).tolist()
             )
@@ -91,8 +91,8 @@ def check_table(make: Make) -> None:
     robot = TinyRobot()
     description = robot.description
     for grasp in make().propose(_surface(), robot, TABLE).grasps:
-        solution = robot.inverse_kinematics(grasp.T_world_hand, description.home_q, description.hand_frames["right"])
-        for link in (*description.fingertips["right"], description.hand_frames["right"]):
+        solution = robot.inverse_kinematics(grasp.T_world_hand, description.home_q, description.hand().frame)
+        for link in (*description.hand().fingertips, description.hand().frame):
             height = float(robot.forward_kinematics(solution.q, link)[2, 3]) - TABLE.top
             expect(height > -HAND_THICKNESS, f"'{link}' above the table top", f"{100 * height:.1f} cm")
 

@@ -105,3 +105,15 @@ class DatasetContract(PluginContract):
     """Checks of data sets."""
 
     kind = "dataset"
+
+
+class TaskContract(PluginContract):
+    """Checks of tasks."""
+
+    kind = "task"
+
+
+class PipelineContract(PluginContract):
+    """Checks of pipelines."""
+
+    kind = "pipeline"

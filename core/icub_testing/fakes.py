@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from icub_core.config.schema import signature
-from icub_core.kinds import KINDS, get_kind
-from icub_core.registry import build, load
+from icub_core.config.schema import is_factory, signature
+from icub_core.construct import build
+from icub_core.kinds import KINDS
+from icub_core.registry import load
 from icub_testing.tiny import tiny_class
 
 
@@ -23,18 +24,17 @@ def with_tiny_dependencies(
         **given: Dependencies to use instead of the tiny ones.
 
     Raises:
-        PluginError, ConfigError: As `icub_core.registry.build`.
+        PluginError, ConfigError: As `icub_core.construct.build`.
     """
     wanted = signature(kind, name, load(kind, name)).dependencies
-    missing = [key for key in wanted if key in KINDS and key not in given]
+    missing = {key: is_factory(wanted[key].annotation) for key in wanted if key in KINDS and key not in given}
 
     def make() -> Any:
-        dependencies = {key: _tiny(key) for key in missing}
+        dependencies = {key: tiny_class(key) if fresh else _tiny(key) for key, fresh in missing.items()}
         return build(kind, {"plugin": name, **(parameters or {})}, **dependencies, **given)
 
     return make
 
 
 def _tiny(kind: str) -> Any:
-    cls = tiny_class(kind)
-    return cls if get_kind(kind).passed_as_factory else cls()
+    return tiny_class(kind)()

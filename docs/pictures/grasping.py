@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from studio import Image, Studio, halved, save_png, ycb
 from tensordict import TensorDictBase
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.data import RgbdFrame
 from icub_core.geometry import invert, look_at
 from icub_core.scene import CameraView, Table
@@ -64,7 +64,7 @@ def superquadric() -> None:
     mask = seen.segmentation == 0
     cloud = seen.frame.to_cloud(mask)
     shape = fit_superquadric(cloud.points, Table().top).shape
-    generator = registry.build("grasp_generator", "superquadrics")
+    generator = build("grasp_generator", "superquadrics")
     plan = plan_grasp(
         seen.frame, mask, item.name, generator, studio.robot, description.home_q, table=simulator.scene.table
     )
@@ -77,7 +77,7 @@ def superquadric() -> None:
         captioned(crop(first, mask), "masked depth = cloud"),
         captioned(crop(second, mask), "fitted superquadric"),
     ]
-    frame = description.hand_frames["right"]
+    frame = description.hand("right").frame
     eye, center = np.array([-0.78, 0.40, 1.28]), np.array([-0.29, 0.03, 1.08])
     for title, T in (("pre-grasp, 10 cm before", plan.T_far), ("chosen hand pose", plan.grasp.T_world_hand)):
         solution = studio.robot.inverse_kinematics(T, plan.q_far, frame, group="right_reach")
@@ -103,7 +103,7 @@ def grasps() -> None:
     items = ycb("004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle")
     studio = Studio.open(items, hands=["right", "left"])
     simulator, description = studio.simulator, studio.robot.description
-    generator = registry.build("grasp_generator", "superquadrics")
+    generator = build("grasp_generator", "superquadrics")
     rows = []
     for side, sign in (("right", 1.0), ("left", -1.0)):
         row = []
@@ -117,7 +117,7 @@ def grasps() -> None:
             answer = generator.propose(cloud, studio.robot, simulator.scene.table, side)
             if not answer:
                 raise SystemExit(f"no grasp of '{item.name}' for the image: {answer.reason}")
-            frame = description.hand_frames[side]
+            frame = description.hand(side).frame
             q = description.home_q
             for before in (0.10, 0.05, 0.0):
                 T = answer.grasps[0].backed_off(before) if before else answer.grasps[0].T_world_hand
@@ -131,13 +131,13 @@ def grasps() -> None:
 
 def grasp() -> None:
     """A scripted grasp in six images."""
+    from icub_core.rollouts import evaluate
     from icub_tasks.grasping.env import GraspEnv
-    from icub_tasks.grasping.evaluation import evaluate
     from icub_tasks.grasping.task import CONTROL_STEP, GraspTask
 
     (item,) = ycb("006_mustard_bottle")
     studio = Studio.open([item])
-    generator, policy = registry.build("grasp_generator", "superquadrics"), registry.build("policy", "demonstrations")
+    generator, policy = build("grasp_generator", "superquadrics"), build("policy", "demonstrations")
     env = GraspEnv([GraspTask(studio.simulator, studio.robot, generator, [item.name])])
     pictures: list[Image] = []
 

@@ -12,7 +12,7 @@ import imageio.v3 as iio
 import numpy as np
 from studio import Image, save_gif, save_png
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_pipelines.images import captioned, color_of, contact_sheet, draw_instances
 
 
@@ -37,7 +37,7 @@ def datasets() -> None:
     """Frames of the two rendered TARGET-TASKs with their annotations."""
     shown = []
     for name, indices in (("rendered_tabletop", (0, 12, 24)), ("rendered_handheld", (0, 16, 40))):
-        frames = registry.build("dataset", {"plugin": name, "split": "train", "frames": 60})
+        frames = build("dataset", {"plugin": name, "split": "train", "frames": 60})
         for i in indices:
             frame, instances = frames[i]
             shown.append(captioned(draw_instances(frame.rgb, instances), f"{name}[{i}]"))

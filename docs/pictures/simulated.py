@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from studio import FLOOR, WALL, WOOD, Image, Studio, save_png, ycb
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.scene import Light, Scene, Table
 from icub_pipelines.images import captioned, contact_sheet
 
@@ -33,14 +33,14 @@ def hands() -> None:
         simulator.reset()
         targets = A @ description.home_q + b
         for side in ("right", "left"):
-            for name in description.hand_actuators[side]:
+            for name in description.hand(side).actuators:
                 (i,) = description.actuator_indices((name,))
                 targets[i] = getattr(description.actuators[i], state)
         simulator.set_targets(targets)
         simulator.step(400)
         row = []
         for side, sign in (("right", 1.0), ("left", -1.0)):
-            T = simulator.link_pose(description.hand_frames[side])
+            T = simulator.link_pose(description.hand(side).frame)
             middle = T[:3, 3] + 0.02 * T[:3, 0] + sign * 0.02 * T[:3, 2]
             eye = middle + sign * 0.26 * T[:3, 2] + 0.10 * T[:3, 0] - 0.16 * T[:3, 1]
             x, y, z = (middle - eye + [0.0, 0.15, -0.1]).tolist()
@@ -87,13 +87,13 @@ def cameras() -> None:
 
 def objects() -> None:
     """The eight YCB primitives, and random objects resized for the hand."""
-    random = registry.build("objects", {"plugin": "random1000", "graspable": True})
+    random = build("objects", {"plugin": "random1000", "graspable": True})
     lamp = Light(direction=(-0.5, -0.5, -1.0), diffuse=(0.6, 0.6, 0.6), ambient=(0.42, 0.42, 0.42))
     for name, items in (
         ("objects_ycb_primitives", ycb()),
         ("objects_random1000", [random.get(n) for n in random.names[:96:12]]),
     ):
-        simulator = registry.build("simulator", "mujoco")
+        simulator = build("simulator", "mujoco")
         simulator.load(None, Scene(tuple(items), Table(material=WOOD), lights=(lamp,), floor=FLOOR, backdrop=WALL))
         simulator.reset()
         studio = Studio(simulator, None)  # type: ignore[arg-type]  # no robot is looked at here

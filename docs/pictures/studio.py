@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pillow
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.geometry import look_at, make_transform, quat_wxyz_to_matrix, rotation_about
 from icub_core.interfaces.robot import Robot
 from icub_core.interfaces.simulator import Simulator
@@ -76,8 +76,8 @@ class Studio:
     @classmethod
     def open(cls, objects: Sequence[ObjectSpec] = (), table: bool = True, **robot: object) -> Studio:
         """Load the robot, the table and `objects`."""
-        body = registry.build("robot", {"plugin": "icub", **robot})
-        simulator = registry.build("simulator", "mujoco")
+        body = build("robot", {"plugin": "icub", **robot})
+        simulator = build("simulator", "mujoco")
         furniture = Table(material=WOOD) if table else None
         simulator.load(body.description, Scene(tuple(objects), furniture, lights=STUDIO, floor=FLOOR, backdrop=WALL))
         simulator.reset()
@@ -104,7 +104,7 @@ class Studio:
 
 def ycb(*names: str) -> list[ObjectSpec]:
     """Return objects of the set ycb_primitives; all of them when none is named."""
-    objects = registry.build("objects", "ycb_primitives")
+    objects = build("objects", "ycb_primitives")
     return [objects.get(name) for name in names or objects.names]
 
 

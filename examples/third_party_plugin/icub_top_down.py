@@ -28,7 +28,7 @@ class TopDown(GraspGenerator):
             T = make_transform(R, [*center[:2], points[:, 2].max() + self.clearance])
             grasp = Grasp(T, center, 0.0, "top_down", hand)
             poses = [grasp.backed_off(distance) for distance in (0.0, 0.05, 0.10)]
-            found = robot.inverse_kinematics_batch(poses, d.home_q, d.hand_frames[hand], group=f"{hand}_reach")
+            found = robot.inverse_kinematics_batch(poses, d.home_q, d.hand(hand).frame, group=f"{hand}_reach")
             if all(solution.reached for solution in found):
                 effort = float(np.abs(found[0].q - d.home_q).sum())
                 grasps.append(Grasp(T, center, -effort, "top_down", hand))

@@ -5,6 +5,7 @@ import sys
 import pytest
 
 from icub_core import registry
+from icub_core.construct import build, factory
 from icub_core.errors import ConfigError, PluginError
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.kinds import KINDS
@@ -24,7 +25,7 @@ def test_finding_imports_no_plugin(install):
 def test_a_third_party_plugin_is_loaded_and_built(install):
     install("third", {"icub.segmenter": {"third": TINY_SEGMENTER}})
     assert issubclass(registry.load("segmenter", "third"), Segmenter)
-    built = registry.build("segmenter", {"plugin": "third", "tolerance": "0.3"})
+    built = build("segmenter", {"plugin": "third", "tolerance": "0.3"})
     assert built._tolerance == 0.3
 
 
@@ -67,7 +68,7 @@ def test_a_broken_plugin_gives_one_line_with_target_and_cause(install, source, c
 def test_a_broken_plugin_does_not_disturb_others(install):
     install("broken", {"icub.segmenter": {"broken": "broken_module:Broken"}}, {"broken_module.py": "1/0"})
     install("third", {"icub.segmenter": {"third": TINY_SEGMENTER}})
-    assert registry.build("segmenter", "third") is not None
+    assert build("segmenter", "third") is not None
 
 
 def test_a_plugin_of_another_kind_is_refused(install):
@@ -107,8 +108,8 @@ class Composed(TinySegmenter):
         {"composed_module.py": source},
     )
     extractor = TinyFeatureExtractor()
-    heads = registry.factory("online_head", {"plugin": "tiny", "penalty": 0.5})
-    built = registry.build("segmenter", "composed", feature_extractor=extractor, online_head=heads, least_pixels=7)
+    heads = factory("online_head", {"plugin": "tiny", "penalty": 0.5})
+    built = build("segmenter", "composed", feature_extractor=extractor, online_head=heads, least_pixels=7)
     assert built.extractor is extractor
     assert built._least_pixels == 7
     first, second = built.heads
@@ -119,7 +120,7 @@ class Composed(TinySegmenter):
 
 def test_a_missing_dependency_names_the_choices():
     with pytest.raises(ConfigError, match=r"needs a feature_extractor; add feature_extractor=NAME\. Known: .*compact"):
-        registry.build("segmenter", "falkon")
+        build("segmenter", "falkon")
 
 
 def test_a_constructor_that_fails_is_one_line(install):
@@ -131,15 +132,15 @@ class Fails(TinySegmenter):
 """
     install("third", {"icub.segmenter": {"fails": "fails_module:Fails"}}, {"fails_module.py": source})
     with pytest.raises(PluginError, match=r"'fails' cannot be constructed: AttributeError"):
-        registry.build("segmenter", "fails")
+        build("segmenter", "fails")
 
 
 def test_a_factory_is_checked_before_its_first_call():
     with pytest.raises(ConfigError, match="has no parameter 'sigmma'. Did you mean 'sigma'"):
-        registry.factory("online_head", {"plugin": "falkon", "sigmma": 3.0})
+        factory("online_head", {"plugin": "falkon", "sigmma": 3.0})
 
 
 @pytest.mark.parametrize("config", [{}, {"plugin": None}, {"plugin": 3}, None])
 def test_a_configuration_without_a_name_says_what_to_add(config):
     with pytest.raises(ConfigError, match="Known: .*falkon"):
-        registry.build("segmenter", config)
+        build("segmenter", config)

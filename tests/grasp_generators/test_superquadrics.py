@@ -122,7 +122,7 @@ def test_a_left_hand_grasps_the_mirror_image(generator, icub):
     # fitted to other noise and reached by another home posture, but from the same family
     fingers = mirror @ right.T_world_hand[:3, 0]
     assert abs(fingers @ left.T_world_hand[:3, 0]) > np.cos(0.4)
-    frame = icub.description.hand_frames["left"]
+    frame = icub.description.hand("left").frame
     palm = -left.T_world_hand[:3, 2]  # a left palm looks along -z of its frame
     assert palm @ (left.object_center - left.T_world_hand[:3, 3]) > 0
     assert frame.startswith("l_")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.scene import Scene
 from icub_tasks.grasping.task import GraspTask
 
@@ -16,14 +16,14 @@ MakeTasks = Callable[..., list[GraspTask]]
 @pytest.fixture(scope="session")
 def make_tasks() -> Iterator[MakeTasks]:
     simulators = []
-    robot = registry.build("robot", "icub")
-    generator = registry.build("grasp_generator", "superquadrics")
-    objects = registry.build("objects", "ycb_primitives")
+    robot = build("robot", "icub")
+    generator = build("grasp_generator", "superquadrics")
+    objects = build("objects", "ycb_primitives")
 
     def make(name: str = "010_potted_meat_can", worlds: int = 1, seed: int = 0, **options) -> list[GraspTask]:
         tasks = []
         for world in range(worlds):
-            simulator = registry.build("simulator", "mujoco")
+            simulator = build("simulator", "mujoco")
             simulator.load(robot.description, Scene(objects=(objects.get(name),)))
             simulators.append(simulator)
             tasks.append(GraspTask(simulator, robot, generator, [name], seed=seed + world, **options))

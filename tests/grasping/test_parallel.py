@@ -5,8 +5,8 @@ import pytest
 
 from icub_benchmarks import parallel
 from icub_benchmarks.parallel import EnvRecipe, evaluate_in_workers
-from icub_core import registry
-from icub_tasks.grasping.evaluation import EpisodeResults, evaluate
+from icub_core.construct import build
+from icub_core.rollouts import EpisodeResults, evaluate
 from icub_tasks.grasping.termination import FIRST_FAULT, EndReason
 
 
@@ -50,7 +50,7 @@ def test_a_lost_worker_costs_one_episode(monkeypatch):
 @pytest.mark.slow
 def test_the_number_of_workers_does_not_change_the_results():
     recipe = EnvRecipe(("010_potted_meat_can",), worlds=2)
-    here = evaluate(registry.build("policy", "demonstrations"), recipe.build(), 3, seed=4)
+    here = evaluate(build("policy", "demonstrations"), recipe.build(), 3, seed=4)
     there = evaluate_in_workers(recipe, "demonstrations", 3, seed=4, workers=2)
     np.testing.assert_array_equal(there.returns, here.returns)
     np.testing.assert_array_equal(there.steps, here.steps)

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.errors import ConfigError
 from icub_core.geometry import rotation_exp, rotation_log
 from icub_core.interfaces.robot import Robot
-from icub_tasks.grasping.evaluation import EpisodeResults, paired_gain, wilson_interval
+from icub_core.rollouts import EpisodeResults, paired_gain, wilson_interval
 from icub_tasks.grasping.spaces import euler_to_matrix, hand_layout, matrix_to_euler, pose_vector
 from icub_tasks.grasping.termination import EndReason, end_reasons
 from icub_tasks.grasping.tracking import HandTracker, small_rotation
@@ -20,7 +20,7 @@ from icub_tasks.grasping.tracking import HandTracker, small_rotation
 
 @pytest.fixture(scope="module")
 def robot() -> Robot:
-    return registry.build("robot", "icub")
+    return build("robot", "icub")
 
 
 @given(st.lists(st.floats(-6, 6), min_size=3, max_size=3))

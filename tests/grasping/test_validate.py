@@ -7,7 +7,7 @@ import pytest
 
 from icub_benchmarks.grasps.judging import Judge, Pose
 from icub_benchmarks.grasps.validate import Outcome, plan_trial, run_trial
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.data import Grasp
 from icub_core.errors import ConfigError
 from icub_core.geometry import make_transform, quat_wxyz_to_matrix
@@ -19,12 +19,12 @@ ENGINES = ["mujoco", "pybullet"]
 
 @pytest.fixture(scope="module")
 def robot():
-    return registry.build("robot", "icub")
+    return build("robot", "icub")
 
 
 @pytest.fixture(scope="module")
 def can():
-    return registry.build("objects", "ycb_primitives").get(NAME)
+    return build("objects", "ycb_primitives").get(NAME)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def grasp(can, standing):
 
 def judged(engine, robot, spec, standing, grasp):
     trial = plan_trial(robot, grasp, robot.description.home_q)
-    simulator = registry.build("simulator", engine)
+    simulator = build("simulator", engine)
     try:
         simulator.load(robot.description, Scene(objects=(spec,)))
         return run_trial(simulator, robot.description, trial, NAME, standing)
@@ -76,7 +76,7 @@ def test_a_can_without_friction_slips_out(robot, can, standing, grasp):
     description = robot.description
     slippery = {link: dataclasses.replace(m, friction=(0.01, 0.0, 0.0)) for link, m in description.contacts.items()}
     soap = dataclasses.replace(can, friction=(0.01, 0.0, 0.0), mass=2.0)
-    simulator = registry.build("simulator", "mujoco")
+    simulator = build("simulator", "mujoco")
     simulator.load(dataclasses.replace(description, contacts=slippery), Scene(objects=(soap,)))
     trial = plan_trial(robot, grasp, description.home_q)
     assert run_trial(simulator, description, trial, NAME, standing) in (Outcome.NOT_LIFTED, Outcome.SHAKEN_OFF)
@@ -94,8 +94,8 @@ def test_a_hand_that_the_robot_lacks_is_named(robot, grasp):
 
 def test_the_left_hand_is_judged_like_the_right_one(can, standing, grasp):
     """Mirrored at the robot's plane of symmetry."""
-    left = registry.build("robot", {"plugin": "icub", "hands": ["left"]})
-    frame, home = left.description.hand_frames["left"], left.description.home_q
+    left = build("robot", {"plugin": "icub", "hands": ["left"]})
+    frame, home = left.description.hand("left").frame, left.description.home_q
     T = make_transform(np.diag([-1.0, 1.0, -1.0]), grasp.T_world_hand[:3, 3] * [1, -1, 1])
     mirrored = dataclasses.replace(grasp, T_world_hand=T, hand="left")
     trial = plan_trial(left, mirrored, home)

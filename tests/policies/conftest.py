@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.scene import Scene
 from icub_policies.gpayn import Gpayn
 from icub_tasks.grasping.env import GraspEnv
@@ -18,14 +18,14 @@ from icub_tasks.grasping.task import GraspTask, TaskSettings
 def make_env() -> Iterator[Callable[..., GraspEnv]]:
     """Build an environment of one meat can a world, with short episodes."""
     simulators = []
-    robot = registry.build("robot", "icub")
-    generator = registry.build("grasp_generator", "superquadrics")
-    can = registry.build("objects", "ycb_primitives").get("010_potted_meat_can")
+    robot = build("robot", "icub")
+    generator = build("grasp_generator", "superquadrics")
+    can = build("objects", "ycb_primitives").get("010_potted_meat_can")
 
     def make(worlds: int = 1, max_steps: int = 12, pool_size: int = 1) -> GraspEnv:
         tasks = []
         for world in range(worlds):
-            simulator = registry.build("simulator", "mujoco")
+            simulator = build("simulator", "mujoco")
             simulator.load(robot.description, Scene(objects=(can,)))
             simulators.append(simulator)
             settings = TaskSettings(max_steps=max_steps)

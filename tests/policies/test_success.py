@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import pytest
 
-from icub_core import registry
+from icub_core.construct import build
+from icub_core.rollouts import evaluate
 from icub_core.scene import Scene
 from icub_policies.demonstrations import Demonstrations
 from icub_policies.gpayn import Gpayn
 from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.evaluation import evaluate
 from icub_tasks.grasping.task import GraspTask
 
 pytestmark = pytest.mark.slow
 
 
 def worlds(name: str, count: int = 8) -> GraspEnv:
-    robot, generator = registry.build("robot", "icub"), registry.build("grasp_generator", "superquadrics")
-    spec = registry.build("objects", "ycb_primitives").get(name)
+    robot, generator = build("robot", "icub"), build("grasp_generator", "superquadrics")
+    spec = build("objects", "ycb_primitives").get(name)
     tasks = []
     for world in range(count):
-        simulator = registry.build("simulator", "mujoco")
+        simulator = build("simulator", "mujoco")
         simulator.load(robot.description, Scene(objects=(spec,)))
         tasks.append(GraspTask(simulator, robot, generator, [name], seed=world))
     return GraspEnv(tasks, pool_size=12, threads=2)

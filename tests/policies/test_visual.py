@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDict
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.errors import ConfigError
 from icub_policies.features import PROPRIOCEPTIVE_SIZE, STACK, features
 from icub_policies.gpayn import Gpayn
@@ -107,7 +107,7 @@ def test_a_policy_learns_with_pictures_and_is_read_back(make_env, base_file, tmp
 
 
 def test_any_feature_extractor_can_describe_the_picture():
-    encoder = PictureEncoder(registry.build("feature_extractor", "compact"))
+    encoder = PictureEncoder(build("feature_extractor", "compact"))
     rgb = np.random.default_rng(0).integers(0, 255, (120, 160, 3)).astype(np.uint8)
     described = encoder.encode(rgb)
     assert described.shape == (encoder.size,)

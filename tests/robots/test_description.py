@@ -55,8 +55,8 @@ def test_hand_actuators_come_last_in_the_order_of_observations(icub, both_hands)
     left = tuple(f"l_{name}" for name in HAND_ORDER)
     for robot in (icub, both_hands):
         assert tuple(a.name for a in robot.description.actuators[-9:]) == right
-        assert robot.description.hand_actuators["right"] == right
-    assert both_hands.description.hand_actuators["left"] == left
+        assert robot.description.hand("right").actuators == right
+    assert both_hands.description.hand("left").actuators == left
     assert set(right + left) <= {a.name for a in both_hands.description.actuators}
 
 
@@ -145,7 +145,7 @@ def test_both_hands_mirror_each_other(both_hands):
     for name, i in position.items():
         if name.startswith("l_"):
             q[i] = q[position["r_" + name[2:]]]
-    for right, left in zip(d.fingertips["right"], d.fingertips["left"], strict=True):
+    for right, left in zip(d.hand("right").fingertips, d.hand("left").fingertips, strict=True):
         p = both_hands.forward_kinematics(q, right)[:3, 3]
         mirrored = both_hands.forward_kinematics(q, left)[:3, 3] * [1, -1, 1]
         assert np.linalg.norm(p - mirrored) < (12e-3 if "ring" in right or "little" in right else 1e-3), right
@@ -158,7 +158,7 @@ def test_contacts_and_excludes_name_existing_links(both_hands):
     links |= {name for tips in d.fingertips.values() for name in tips} | set(d.hand_frames.values())
     for name in links:
         assert f'<link name="{name}"' in text, name
-    for tip in d.fingertips["right"] + d.fingertips["left"]:
+    for tip in d.hand("right").fingertips + d.hand("left").fingertips:
         assert d.contacts[tip].priority == 1
         assert d.contacts[tip].friction[0] == 3.5
     assert set(d.dynamics) <= set(d.joint_names)

@@ -164,7 +164,7 @@ def test_the_left_hand_reaches_what_the_right_does(both_hands):
     start = d.home_q
     start[d.indices("left_arm")] = start[d.indices("right_arm")]
     for side in ("right", "left"):
-        frame = d.hand_frames[side]
+        frame = d.hand(side).frame
         target = both_hands.forward_kinematics(start, frame)
         target[:3, 3] += [-0.04, 0.0, 0.02]
         solution = both_hands.inverse_kinematics(target, start, frame, group=f"{side}_reach")

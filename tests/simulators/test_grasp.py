@@ -12,7 +12,7 @@ CASES = {"004_sugar_box": 0.0, "006_mustard_bottle": np.pi / 2}  # roll of the h
 
 @pytest.mark.parametrize("name", list(CASES))
 def test_an_object_is_grasped_lifted_and_held(engine, icub, ycb, name):
-    spec, d, frame = ycb.get(name), icub.description, icub.description.hand_frames["right"]
+    spec, d, frame = ycb.get(name), icub.description, icub.description.hand("right").frame
     engine.load(d, Scene(objects=(spec,)))
     R_object, roll = quat_wxyz_to_matrix(spec.rest_quat_wxyz), CASES[name]
     center = np.array([-0.35, 0.0, 0.95 + spec.rest_height])
@@ -26,7 +26,7 @@ def test_an_object_is_grasped_lifted_and_held(engine, icub, ycb, name):
     engine.set_object_pose(name, make_transform(R_object, center))
 
     A, b = d.actuator_matrix()
-    hand = d.actuator_indices(d.hand_actuators["right"])
+    hand = d.actuator_indices(d.hand("right").actuators)
     start = np.array([d.actuators[i].open for i in hand])
     stroke = np.array([d.actuators[i].close for i in hand]) - start
     targets = engine.actuator_positions()

@@ -72,7 +72,7 @@ def test_masses_agree_with_the_other_engine(shape):
 def test_free_fingers_close_alike_in_both_engines(icub):
     """The same command ends at about the same lengths (where thumb and fingers meet), at a similar pace."""
     d = icub.description
-    hand = d.actuator_indices(d.hand_actuators["right"])
+    hand = d.actuator_indices(d.hand("right").actuators)
     paths = []
     for simulator in (Mujoco(), PyBullet()):
         simulator.load(d, Scene())

@@ -21,7 +21,7 @@ def test_contract(name, engine):
 def closing(description, world, steps=40):
     """Close the hand a little and return where everything got to."""
     targets = world.actuator_positions()
-    hand = description.actuator_indices(description.hand_actuators["right"])
+    hand = description.actuator_indices(description.hand("right").actuators)
     for k in range(steps):
         targets[hand] = [description.actuators[i].range[1] * k / steps for i in hand]
         world.set_targets(targets)
@@ -68,7 +68,7 @@ def test_forward_kinematics_agree_with_the_robots(world, icub):
         q = rng.uniform(d.lower, d.upper)
         world.set_joint_positions(q)
         np.testing.assert_allclose(world.joint_positions(), q, atol=1e-12)
-        for link in ("head", "r_hand_dh_frame", *d.fingertips["right"]):
+        for link in ("head", "r_hand_dh_frame", *d.hand("right").fingertips):
             np.testing.assert_allclose(world.link_pose(link), icub.forward_kinematics(q, link), atol=1e-6)
 
 
@@ -130,7 +130,7 @@ def test_nothing_is_touched_at_home(world, ycb, standing):
 
 
 def test_a_fingertip_feels_the_object_that_is_pressed_on_it(world, icub, ycb):
-    for finger, link in enumerate(icub.description.fingertips["right"]):
+    for finger, link in enumerate(icub.description.hand("right").fingertips):
         world.reset()
         tip = world.link_pose(link)
         # its narrow end (z) lies across the end of the finger (x), 4 mm deep

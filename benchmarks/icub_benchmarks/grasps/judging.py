@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from icub_benchmarks.grasps.validate import Outcome, plan_trial, run_trial
 from icub_benchmarks.parallel import PluginConfig
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.interfaces.simulator import Simulator
 from icub_core.scene import Scene
 from icub_core.workers import Workers
@@ -49,9 +49,9 @@ class Judge:
         self, robot: PluginConfig, grasp_generator: PluginConfig, objects: PluginConfig, engines: Sequence[str]
     ) -> None:
         self._engines = list(engines)
-        self._robot = registry.build("robot", robot)
-        self._generator = registry.build("grasp_generator", grasp_generator)
-        self._objects = registry.build("objects", objects)
+        self._robot = build("robot", robot)
+        self._generator = build("grasp_generator", grasp_generator)
+        self._objects = build("objects", objects)
         self._worlds: dict[str, Simulator] = {}
         self._loaded = ""
 
@@ -61,7 +61,7 @@ class Judge:
         if self._loaded != name:
             scene = Scene(objects=(self._objects.get(name),))
             for engine in self._engines:
-                self._worlds.setdefault(engine, registry.build("simulator", engine)).load(description, scene)
+                self._worlds.setdefault(engine, build("simulator", engine)).load(description, scene)
             self._loaded = name
         world = self._worlds[self._engines[0]]
         task = GraspTask(world, self._robot, self._generator, [name], hand=pose.hand)

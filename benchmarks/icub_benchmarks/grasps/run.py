@@ -34,11 +34,10 @@ from rich.table import Table
 from icub_benchmarks.grasps.judging import Outcome, Pose, judge_poses
 from icub_benchmarks.grasps.validate import Outcome
 from icub_benchmarks.parallel import EnvRecipe, evaluate_in_workers
-from icub_core import registry
 from icub_core.config.compose import compose
+from icub_core.construct import build, split_config
 from icub_core.evaluation.results import Figure, write_results
-from icub_core.registry import split_config
-from icub_tasks.grasping.evaluation import merge, wilson_interval
+from icub_core.rollouts import merge, wilson_interval
 
 RESULTS = Path(__file__).resolve().parent / "results" / "grasps.json"
 SEVEN = [
@@ -57,7 +56,7 @@ Plugins = dict[str, dict[str, Any]]
 
 def validate(options: argparse.Namespace, plugins: Plugins, bar: Progress) -> dict[str, Figure]:
     """Judge the first grasp for every object at several poses in every engine."""
-    names = options.objects or registry.build("objects", plugins["objects"]).names
+    names = options.objects or build("objects", plugins["objects"]).names
     poses = [Pose(name, number, options.seed) for name in names for number in range(options.poses)]
     line = bar.add_task("grasps judged", total=len(poses))
     outcomes = judge_poses(

@@ -84,7 +84,7 @@ def plan_trial(robot: Robot, grasp: Grasp, q_seed: FloatArray) -> Trial | None:
     description = robot.description
     if grasp.hand not in description.hand_actuators:
         raise ConfigError(unknown_name(f"hand of robot '{description.name}'", grasp.hand, description.hand_actuators))
-    frame, group = description.hand_frames[grasp.hand], f"{grasp.hand}_reach"
+    frame, group = description.hand(grasp.hand).frame, f"{grasp.hand}_reach"
     inward = grasp.T_world_hand[:3, 3] - grasp.backed_off(NEAR)[:3, 3]
     steps = int(np.ceil((NEAR + PAST) / SPEED))
     approach = grasp.backed_off(NEAR)[:3, 3] + np.linspace(0, 1 + PAST / NEAR, steps + 1)[:, None] * inward
@@ -100,7 +100,7 @@ def plan_trial(robot: Robot, grasp: Grasp, q_seed: FloatArray) -> Trial | None:
         return None
     A, b = description.actuator_matrix()
     opened = _finger_commands(description, grasp.hand)[0]
-    fingers = description.actuator_indices(description.hand_actuators[grasp.hand])
+    fingers = description.actuator_indices(description.hand(grasp.hand).actuators)
     q, phases = first.q, []
     for way in (approach, lift, shake):
         commands = np.empty((len(way), len(b)))
@@ -159,7 +159,7 @@ class _Runner:
     def __init__(self, simulator: Simulator, description: RobotDescription, hand: str, name: str) -> None:
         self._simulator, self._name, self._hand = simulator, name, hand
         self._substeps = round(STEP / simulator.scene.timestep)
-        self._fingers = description.actuator_indices(description.hand_actuators[hand])
+        self._fingers = description.actuator_indices(description.hand(hand).actuators)
         self._opened, self._closed = _finger_commands(description, hand)
         self._description = description
         self._share = 0.0
@@ -167,7 +167,7 @@ class _Runner:
     def open_hand(self, q: FloatArray) -> FloatArray:
         """Return joints (n,) with the hand's where its open command puts them, within their limits."""
         d, q = self._description, q.copy()
-        for name in d.hand_actuators[self._hand]:
+        for name in d.hand(self._hand).actuators:
             actuator = d.actuators[int(d.actuator_indices((name,))[0])]
             for joint, coefficient in actuator.coefficients.items():
                 share = (actuator.open - actuator.offset) / (coefficient * len(actuator.coefficients))
@@ -198,5 +198,5 @@ class _Runner:
 
 def _finger_commands(description: RobotDescription, hand: str) -> tuple[FloatArray, FloatArray]:
     """Return the commands of the open and of the closed hand, each (k,), rad."""
-    actuators = [description.actuators[i] for i in description.actuator_indices(description.hand_actuators[hand])]
+    actuators = [description.actuators[i] for i in description.actuator_indices(description.hand(hand).actuators)]
     return np.array([a.open for a in actuators]), np.array([a.close for a in actuators])

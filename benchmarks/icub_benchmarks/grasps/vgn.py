@@ -25,7 +25,7 @@ import torch
 from rich.console import Console
 from rich.progress import track
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.data import PointCloud
 from icub_core.evaluation.results import Figure, write_results
 from icub_core.scene import Table
@@ -66,7 +66,7 @@ def main() -> None:
     network, _, judge = load_network("icub_hand")
     assert judge is not None  # the shipped file has one
     view, poses = volume.range_view(cloud), around(cloud.points[::50], cloud)[:MAX_JUDGED]
-    robot, generator = registry.build("robot", "icub"), registry.build("grasp_generator", "vgn")
+    robot, generator = build("robot", "icub"), build("grasp_generator", "vgn")
 
     def forward() -> None:
         with torch.inference_mode():

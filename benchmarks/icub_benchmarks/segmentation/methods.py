@@ -12,9 +12,9 @@ from typing import Any
 import torch
 from omegaconf import OmegaConf
 
-from icub_core import registry
 from icub_core.config.assembly import Assembly
 from icub_core.config.compose import compose
+from icub_core.construct import build
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.segmenter import Segmenter
@@ -135,7 +135,7 @@ class Method:
         first, last = (int(number) for number in columns[0].split(":"))
         few = SomeFeatures(plugins.get("feature_extractor"), slice(first, last))
         head = plugins.get("online_head")
-        return registry.build("segmenter", config.segmenter, feature_extractor=few, online_head=head)
+        return build("segmenter", config.segmenter, feature_extractor=few, online_head=head)
 
 
 class SomeFeatures(FeatureExtractor):

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.data import Instance, RgbdFrame
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter
@@ -63,8 +63,8 @@ def shown_and_seen(
         Taught frames with masks from depth, and test frames with true masks of the taught objects.
     """
     rng = np.random.default_rng([seed, *b"shown"])
-    simulator, objects = registry.build("simulator", engine), registry.build("objects", "ycb_primitives")
-    robot = registry.build("robot", "icub").description
+    simulator, objects = build("simulator", engine), build("objects", "ycb_primitives")
+    robot = build("robot", "icub").description
     try:
         notes = _Notebook()
         targets = [objects.get(name) for name in names]

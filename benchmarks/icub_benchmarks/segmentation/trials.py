@@ -18,6 +18,7 @@ from icub_benchmarks.segmentation.methods import Method, setting
 from icub_benchmarks.segmentation.recording import shown_and_seen
 from icub_benchmarks.segmentation.trial import Trial, run_trial
 from icub_core import registry
+from icub_core.construct import build
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.files import write_text_atomically
 from icub_core.interfaces.dataset import Dataset
@@ -53,7 +54,7 @@ class Task:
         chosen = dict(self.settings)
         if self.plugin.startswith("rendered_"):
             chosen.setdefault("frames", frames)
-        return registry.build("dataset", {"plugin": self.plugin, "split": split, **chosen})
+        return build("dataset", {"plugin": self.plugin, "split": split, **chosen})
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from icub_core.cli import Interrupted
-from icub_core.errors import ConfigError, IcubError
+from icub_core.errors import ConfigError
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -21,18 +21,16 @@ Compose a robot, its senses and its skills, and run them. The main job is
   icub run +segmenter=falkon +policy=resprect
 
 GROUP=NAME, +GROUP=NAME   choose a plugin or a preset
-~GROUP, GROUP=null        leave a stage out: the simulator's ground truth takes its place
+~GROUP, GROUP=null        leave a plugin out; without a segmenter, ground-truth masks are used
 GROUP.PARAMETER=VALUE     set a parameter; icub plugins show NAME lists them
 KEY=VALUE                 set a value of the run
---resume FOLDER           go on with an interrupted run
+--resume FOLDER           resume an interrupted run
 -m, --multirun            run every combination of comma-separated values
 --cfg job                 print the composed configuration and stop
 --config-dir FOLDER       search one more folder for configurations
 
 """
 
-NOT_A_RUN = {"--cfg", "-c", "--info", "-i", "--hydra-help", "--shell-completion", "-sc"}
-MULTIRUN = {"-m", "--multirun"}
 OVERRIDES_FILE = Path(".hydra", "overrides.yaml")
 
 _current: dict[str, Path] = {}
@@ -44,7 +42,7 @@ def main(arguments: Sequence[str]) -> int:
 
     Raises:
         IcubError: What went wrong, in one line.
-        Interrupted: After Ctrl-C, with the line that goes on.
+        Interrupted: After Ctrl-C, with the command that resumes the run.
     """
     words = list(arguments)
     if "--help" in words or "-h" in words:
@@ -58,70 +56,87 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _run(words: list[str]) -> int:
-    from icub_core.config.compose import PRIMARY, VERSION_BASE, compose, one_line_errors, vocabulary
+    flags = [word for word in words if word.startswith("-") and not word.startswith(("--config-dir", "-cd"))]
+    _current.clear()
+    try:
+        return _with_hydra(words) if flags else _once(words)
+    except KeyboardInterrupt:
+        if "run_dir" not in _current:
+            raise
+        raise Interrupted(f"icub: interrupted; to resume: icub run --resume {_current['run_dir']}") from None
+
+
+def _once(words: list[str]) -> int:
+    """Compose once, check once, and carry out in a run folder laid out as Hydra's own."""
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.core.utils import configure_log
+    from omegaconf import OmegaConf, open_dict
+
+    from icub_core.config.compose import compose, one_line_errors
+    from icub_core.config.settings import check_device
+    from icub_core.files import write_text_atomically
+
+    overrides = _overrides(words)
+    config = compose(overrides, _config_dir(words), with_hydra=True)
+    check_device(config)  # before a run folder exists
+    with one_line_errors():
+        run_dir = Path(config.hydra.run.dir).absolute()
+        config.hydra.runtime.output_dir = str(run_dir)
+        HydraConfig.instance().set_config(config)
+        hydra_node = OmegaConf.masked_copy(config, "hydra")
+        with open_dict(config):
+            del config["hydra"]
+        run_dir.mkdir(parents=True, exist_ok=True)
+        configure_log(hydra_node.hydra.job_logging, hydra_node.hydra.verbose)
+    write_text_atomically(run_dir / OVERRIDES_FILE, OmegaConf.to_yaml(OmegaConf.create(overrides)))
+    write_text_atomically(run_dir / ".hydra" / "config.yaml", OmegaConf.to_yaml(config))
+    _carry_out(config, run_dir)
+    return 0
+
+
+def _with_hydra(words: list[str]) -> int:
+    """Let Hydra's own application serve sweeps and questions about the configuration."""
+    from icub_core.config.compose import PRIMARY, VERSION_BASE, one_line_errors, vocabulary
     from icub_core.config.folders import config_folders
     from icub_core.config.overrides import rewrite
-    from icub_core.config.settings import check_device
     from icub_core.config.sources import register
 
-    config_dir = _config_dir(words)
-    rewritten = rewrite(words, *vocabulary(config_dir))
-    if not any(word.split("=")[0] in NOT_A_RUN | MULTIRUN for word in words):
-        # errors are found here, before a run folder exists; a sweep is checked job by job
-        check_device(compose([word for word in _overrides(words) if not word.startswith("hydra")], config_dir))
+    rewritten = rewrite(words, *vocabulary(_config_dir(words)))
     register()
     import hydra
 
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions reach us instead of being printed by Hydra
-    _current.clear()
     typed, sys.argv = sys.argv, ["icub run", *rewritten]
     try:
         with one_line_errors():
             hydra.main(version_base=VERSION_BASE, config_path=str(config_folders()[0]), config_name=PRIMARY)(job)()
-    except KeyboardInterrupt:
-        if "run_dir" not in _current:
-            raise
-        raise Interrupted(f"icub: interrupted; to go on: icub run --resume {_current['run_dir']}") from None
     finally:
         sys.argv = typed
-    failure = _outcome.pop("error", None)
-    if failure is not None:
-        raise failure
     return 0
 
 
-_outcome: dict[str, IcubError] = {}
-
-
-def job(config: DictConfig) -> dict[str, Any] | None:
-    """Carry out one composed run; Hydra calls this, in sweeps once a combination.
-
-    Returns:
-        The run's metrics, so that sweepers can optimize them; None when it failed with an expected error.
-    """
+def job(config: DictConfig) -> dict[str, Any]:
+    """Carry out one run of a sweep; returns its metrics, so that sweepers can optimize them."""
     from hydra.core.hydra_config import HydraConfig
-    from hydra.types import RunMode
-    from omegaconf import OmegaConf
 
     from icub_core.config.compose import check
-    from icub_core.config.settings import check_device, pipeline_runner
-    from icub_core.files import write_text_atomically
+    from icub_core.config.settings import check_device
 
-    run_dir = Path(HydraConfig.get().runtime.output_dir)
+    check(config)
+    check_device(config)
+    return _carry_out(config, Path(HydraConfig.get().runtime.output_dir))
+
+
+def _carry_out(config: DictConfig, run_dir: Path) -> dict[str, Any]:
+    from omegaconf import OmegaConf
+
+    from icub_core.files import write_text_atomically
+    from icub_core.runner import carry_out
+
     _current["run_dir"] = _relative(run_dir)
-    try:
-        check(config)
-        check_device(config)
-        config.run_dir = str(run_dir)
-        write_text_atomically(run_dir / "config.yaml", OmegaConf.to_yaml(config, resolve=True))
-        metrics: dict[str, Any] = pipeline_runner(config.pipeline.name)(config, run_dir)
-        return metrics
-    except IcubError as error:
-        if HydraConfig.get().mode == RunMode.MULTIRUN:
-            raise
-        # Hydra would print a line of its own for an exception that passes through it
-        _outcome["error"] = error
-        return None
+    config.run_dir = str(run_dir)
+    write_text_atomically(run_dir / "config.yaml", OmegaConf.to_yaml(config, resolve=True))
+    return carry_out(config, run_dir)
 
 
 def _resumed(words: list[str]) -> list[str]:

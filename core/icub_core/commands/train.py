@@ -1,7 +1,11 @@
 """``icub train KIND=NAME``: make the weights that a plugin ships with.
 
-A plugin that can be trained has the class method of `Trainable`. It keeps everything in its run folder, checkpoints at
-least every few minutes, and goes on when it is called again with the same folder.
+A training is a function announced by an entry point of the group ``icub.train`` with the name ``KIND.NAME``::
+
+    def train(run_dir: Path, seed: int, minutes: float = 60.0, progress: Callable[[float, str], None] = ...) -> None
+
+It keeps everything in `run_dir`, checkpoints at least every few minutes, resumes when it is called again with the same
+folder, and spends `minutes` of wall time in all, over all resumptions; the default becomes the command's default.
 """
 
 from __future__ import annotations
@@ -10,28 +14,16 @@ import argparse
 import inspect
 import logging
 from collections.abc import Callable, Sequence
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from icub_core.cli import Interrupted
-from icub_core.errors import ConfigError, PluginError
+from icub_core.errors import ConfigError, PluginError, unknown_name
+from icub_core.registry import info, one_line
 
+ENTRY_POINT_GROUP = "icub.train"
 DEFAULT_MINUTES = 60.0
-
-
-class Trainable(Protocol):
-    """What a plugin class offers to be trained by ``icub train``."""
-
-    @classmethod
-    def train(cls, run_dir: Path, seed: int, minutes: float, progress: Callable[[float, str], None]) -> None:
-        """Train, or go on training.
-
-        Args:
-            run_dir: Existing folder for checkpoints and the finished weights with their card.
-            seed: Of everything drawn at random.
-            minutes: Wall time in all, over all resumptions. A default value becomes the command's default.
-            progress: To be called with the finished share (0..1) and a short text.
-        """
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -41,7 +33,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--minutes", type=float, help="wall time in all; the plugin's own default otherwise")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--run-dir", type=Path, help="folder; the same folder again goes on (runs/train/KIND-NAME-SEED)"
+        "--run-dir", type=Path, help="folder; the same folder again resumes (runs/train/KIND-NAME-SEED)"
     )
     options = parser.parse_args(list(arguments))
     kind, equals, name = options.plugin.lstrip("+").partition("=")
@@ -59,19 +51,31 @@ def main(arguments: Sequence[str]) -> int:
             train(run_dir=run_dir, seed=options.seed, minutes=minutes, progress=progress)
     except KeyboardInterrupt:
         again = f"icub train {options.plugin} --seed {options.seed} --minutes {minutes:g} --run-dir {run_dir}"
-        raise Interrupted(f"icub: interrupted; to go on: {again}") from None
+        raise Interrupted(f"icub: interrupted; to resume: {again}") from None
     logging.getLogger(__name__).info("finished in %s", run_dir)
     return 0
 
 
-def trainer(kind: str, name: str) -> Callable[..., None]:
-    """Return a plugin's `train`; raises PluginError when it has none."""
-    from icub_core.registry import load
+def trainings() -> dict[str, EntryPoint]:
+    """Return every training by ``KIND.NAME``, without importing any."""
+    return {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
 
-    train = getattr(load(kind, name), "train", None)
-    if not inspect.ismethod(train):
-        raise PluginError(f"{kind} '{name}' cannot be trained ahead of a run: its class has no class method 'train'")
-    return train
+
+def trainer(kind: str, name: str) -> Callable[..., None]:
+    """Import and return the training of a plugin; raises PluginError with the plugins that have one."""
+    info(kind, name)
+    known = trainings()
+    entry = known.get(f"{kind}.{name}")
+    if entry is None:
+        choices = [word.replace(".", "=", 1) for word in known]
+        raise PluginError(f"nothing to train: {unknown_name('training', f'{kind}={name}', choices)}")
+    try:
+        function: Callable[..., None] = entry.load()
+    except Exception as cause:
+        raise PluginError(
+            f"the training '{entry.name}' ({entry.value}) cannot be imported: {one_line(cause)}"
+        ) from cause
+    return function
 
 
 def default_minutes(train: Callable[..., None]) -> float:

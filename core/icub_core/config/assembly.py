@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, Literal, overload
+import functools
+from collections.abc import Mapping
+from typing import Any
 
-from icub_core.config.schema import signature
+from icub_core.config.schema import is_factory, signature
+from icub_core.config.settings import build_scene
+from icub_core.construct import build, factory, split_config
 from icub_core.errors import ConfigError
-from icub_core.interfaces.dataset import Dataset
-from icub_core.interfaces.feature_extractor import FeatureExtractor
-from icub_core.interfaces.grasp_generator import GraspGenerator
-from icub_core.interfaces.object_set import ObjectSet
-from icub_core.interfaces.online_head import OnlineHead
-from icub_core.interfaces.policy import Policy
-from icub_core.interfaces.robot import Robot
-from icub_core.interfaces.segmenter import Segmenter
-from icub_core.interfaces.simulator import Simulator
+from icub_core.interfaces.abilities import Closable
 from icub_core.kinds import KINDS, get_kind
-from icub_core.registry import build, factory, load, split_config
+from icub_core.registry import load
+
+SCENE = "scene"
+"""Name of the constructor parameter that receives a function from objects to the run's `Scene`."""
 
 
 class Assembly:
@@ -26,8 +24,8 @@ class Assembly:
         plugins = Assembly(compose(["segmenter=falkon", "policy=resprect"]))
         segmenter = plugins.get("segmenter")   # builds its feature extractor first
 
-    A constructor's parameter that is named like a kind receives the run's instance of that kind; `online_head` receives
-    a zero-argument factory, since a segmenter needs several heads.
+    A constructor's parameter that is named like a kind receives the run's instance of that kind; where it is annotated
+    as a Callable it receives a zero-argument factory of fresh instances.
     """
 
     def __init__(self, config: Mapping[str, Any]) -> None:
@@ -41,32 +39,16 @@ class Assembly:
         self._under_way: list[str] = []
 
     def chosen(self, kind: str) -> str | None:
-        """Return the name of the plugin of this kind, or None when the stage is left out."""
+        """Return the name of the plugin of this kind, or None when it is left out."""
         node = self._config.get(get_kind(kind).name)
         return None if node is None else split_config(kind, node)[0]
 
-    @overload
-    def get(self, kind: Literal["feature_extractor"]) -> FeatureExtractor: ...
-    @overload
-    def get(self, kind: Literal["segmenter"]) -> Segmenter: ...
-    @overload
-    def get(self, kind: Literal["grasp_generator"]) -> GraspGenerator: ...
-    @overload
-    def get(self, kind: Literal["policy"]) -> Policy: ...
-    @overload
-    def get(self, kind: Literal["simulator"]) -> Simulator: ...
-    @overload
-    def get(self, kind: Literal["robot"]) -> Robot: ...
-    @overload
-    def get(self, kind: Literal["objects"]) -> ObjectSet: ...
-    @overload
-    def get(self, kind: Literal["dataset"]) -> Dataset: ...
-    @overload
-    def get(self, kind: Literal["online_head"]) -> Callable[[], OnlineHead]: ...
-    @overload
-    def get(self, kind: str) -> Any: ...
+    def choose(self, kind: str, name: str) -> None:
+        """Choose a plugin, with its defaults, for a kind that the configuration leaves out."""
+        self._config = {str(key): self._config.get(key) for key in self._config} | {kind: {"plugin": name}}
+
     def get(self, kind: str) -> Any:
-        """Return the run's instance of a kind, or the factory of a kind that is passed as one.
+        """Return the run's instance of a kind.
 
         Raises:
             ConfigError: The kind is not chosen, something it needs is not, or two plugins need each other.
@@ -76,28 +58,43 @@ class Assembly:
             self._built[kind] = self.fresh(kind)
         return self._built[kind]
 
-    def fresh(self, kind: str) -> Any:
-        """Build another instance, sharing what it is composed of; vector environments need several simulators."""
+    def fresh(self, kind: str, **given: Any) -> Any:
+        """Build another instance, sharing what it is composed of.
+
+        Args:
+            kind: Name of the kind.
+            **given: Parameters and dependencies to use instead of the configuration's.
+        """
+        name, parameters, dependencies = self._parts(kind, given)
+        return build(kind, {"plugin": name, **parameters}, **{**dependencies, **given})
+
+    def factory(self, kind: str, **given: Any) -> Any:
+        """Return a zero-argument callable that builds a fresh instance at every call, checked once now."""
+        name, parameters, dependencies = self._parts(kind, given)
+        return factory(kind, {"plugin": name, **parameters}, **{**dependencies, **given})
+
+    def _parts(self, kind: str, given: Mapping[str, Any]) -> tuple[str, dict[str, Any], dict[str, Any]]:
         if kind in self._under_way:
             raise ConfigError(f"plugins need each other in a circle: {' -> '.join((*self._under_way, kind))}")
         name, parameters = split_config(kind, self._config.get(get_kind(kind).name))
         self._under_way.append(kind)
         try:
-            dependencies = {
-                parameter.name: self.get(parameter.name)
-                for parameter in signature(kind, name, load(kind, name)).dependencies.values()
-                if self._wanted(parameter.name, parameter.required)
-            }
+            dependencies: dict[str, Any] = {}
+            for wanted in signature(kind, name, load(kind, name)).dependencies.values():
+                if wanted.name in given:
+                    continue
+                if wanted.name == SCENE and self._config.get(SCENE) is not None:
+                    dependencies[SCENE] = functools.partial(build_scene, self._config[SCENE])
+                elif wanted.name in KINDS and (wanted.required or self._config.get(wanted.name) is not None):
+                    make = self.factory if is_factory(wanted.annotation) else self.get
+                    dependencies[wanted.name] = make(wanted.name)
         finally:
             self._under_way.pop()
-        make = factory if get_kind(kind).passed_as_factory else build
-        return make(kind, {"plugin": name, **parameters}, **dependencies)
-
-    def _wanted(self, name: str, required: bool) -> bool:
-        """Whether a dependency is built here: objects that are no plugins are not, optional plugins when chosen."""
-        return name in KINDS and (required or self._config.get(name) is not None)
+        return name, parameters, dependencies
 
     def close(self) -> None:
-        """Close the simulator, if one was built."""
-        if "simulator" in self._built:
-            self._built.pop("simulator").close()
+        """Close every plugin that was built here and holds something open."""
+        for kind in list(self._built):
+            built = self._built.pop(kind)
+            if isinstance(built, Closable):
+                built.close()

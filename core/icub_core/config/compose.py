@@ -18,30 +18,25 @@ from omegaconf.errors import OmegaConfBaseException
 
 from icub_core.config.folders import config_folders, groups
 from icub_core.config.overrides import rewrite
-from icub_core.config.schema import (
-    Parameter,
-    checked_parameters,
-    missing_dependency,
-    signature,
-    unknown_parameter,
-    wrong_type,
-)
+from icub_core.config.schema import signature
 from icub_core.config.settings import check_run_settings
 from icub_core.config.sources import register
+from icub_core.construct import checked_parameters, missing_dependency, split_config, unknown_parameter, wrong_type
 from icub_core.errors import ConfigError, suggestion
 from icub_core.kinds import KINDS
-from icub_core.registry import load, one_line, split_config
+from icub_core.registry import load, one_line
 
 VERSION_BASE = "1.3"
 PRIMARY = "config"
 
 
-def compose(overrides: Sequence[str] = (), config_dir: Path | None = None) -> DictConfig:
+def compose(overrides: Sequence[str] = (), config_dir: Path | None = None, *, with_hydra: bool = False) -> DictConfig:
     """Compose and check the configuration of a run.
 
     Args:
         overrides: As typed after ``icub run``.
         config_dir: Another folder to search, as ``--config-dir``.
+        with_hydra: Keep Hydra's own node, for a run folder and its log.
 
     Raises:
         ConfigError: An unknown name, a wrong type or a plugin that another one needs and that is not chosen.
@@ -55,7 +50,7 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | None = None) -> Di
         one_line_errors(),
         hydra.initialize_config_dir(version_base=VERSION_BASE, config_dir=str(config_folders()[0]), job_name="icub"),
     ):
-        config = hydra.compose(PRIMARY, overrides=rewritten)
+        config = hydra.compose(PRIMARY, overrides=rewritten, return_hydra_config=with_hydra)
         check(config)
         return config
 
@@ -126,6 +121,3 @@ def _value(cause: OmegaConfBaseException) -> str:
     """Return the refused value as OmegaConf quotes it."""
     quoted = str(cause).split("'")
     return quoted[1] if len(quoted) > 1 else "?"
-
-
-__all__ = ["Parameter", "check", "compose", "one_line_errors", "vocabulary"]

@@ -16,12 +16,7 @@ ENTRY_POINT_GROUP = "icub.configs"
 OWN = "icub"
 """Name of this project's own entry point; its folder holds the primary ``config.yaml``."""
 
-TYPED_GROUPS = {
-    ("pipeline", "main"): "icub_pipelines.settings:MainSettings",
-    ("pipeline", "teach_by_showing"): "icub_pipelines.settings:ShowingSettings",
-    ("scene", "tabletop"): "icub_core.config.settings:SceneSettings",
-    ("task", "grasp"): "icub_tasks.grasping.task:TaskSettings",
-}
+TYPED_GROUPS = {("scene", "tabletop"): "icub_core.config.settings:SceneSettings"}
 """Group and option to the dataclass whose fields are its keys."""
 
 logger = logging.getLogger(__name__)

@@ -6,6 +6,8 @@ are passed as objects and never appear in a configuration.
 
 from __future__ import annotations
 
+import builtins
+import dataclasses
 import functools
 import inspect
 import types
@@ -19,9 +21,9 @@ from typing import Any, cast
 from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from icub_core.bounds import Bounds
 from icub_core.errors import ConfigError, PluginError, suggestion
 from icub_core.kinds import KINDS
-from icub_core.registry import available
 
 SCALARS = (bool, int, float, str, Path)
 RUN_SETTINGS = ("seed", "device")
@@ -50,13 +52,9 @@ class Signature:
     dependencies: Mapping[str, Parameter]
 
 
+@functools.cache
 def signature(kind: str, name: str, cls: type) -> Signature:
     """Read the constructor of a plugin; raises PluginError for a type that a configuration cannot hold."""
-    return _signature(kind, name, cls)
-
-
-@functools.cache
-def _signature(kind: str, name: str, cls: type) -> Signature:
     constructor = cast(Callable[..., None], cls.__init__)  # type: ignore[misc]  # an instance's __init__ is never wanted here
     if constructor is object.__init__:
         return Signature({}, {})
@@ -88,11 +86,7 @@ def node_type(kind: str, name: str, cls: type) -> type:
     fields: list[tuple[str, Any, Any]] = [("plugin", str, field(default=name))]
     for parameter in signature(kind, name, cls).parameters.values():
         default = MISSING if parameter.required else parameter.default
-        if isinstance(default, (list, dict)):
-            spec = field(default_factory=functools.partial(_copy, default))
-        else:
-            spec = field(default=default)
-        fields.append((parameter.name, _for_omegaconf(parameter.annotation), spec))
+        fields.append((parameter.name, _for_omegaconf(parameter.annotation), _field(default)))
     made = make_dataclass(cls.__name__, fields)
     made.__module__ = cls.__module__
     try:
@@ -120,78 +114,6 @@ def typed_node(kind: str, name: str, cls: type, *, follow_run: bool = False) -> 
     return node
 
 
-def constructor_arguments(
-    kind: str, name: str, cls: type, parameters: Mapping[str, Any], given: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Check values and objects against a constructor and return its keyword arguments.
-
-    Args:
-        kind: Name of the kind.
-        name: Registry name.
-        cls: The plugin.
-        parameters: Values from a configuration.
-        given: Dependencies, and values that override `parameters`.
-
-    Raises:
-        ConfigError: In one line, with the nearest valid name.
-    """
-    wanted = signature(kind, name, cls)
-    objects = {key: value for key, value in given.items() if key in wanted.dependencies}
-    values = {key: value for key, value in given.items() if key not in wanted.dependencies}
-    arguments = checked_parameters(kind, name, cls, {**parameters, **values})
-    for key, dependency in wanted.dependencies.items():
-        if objects.get(key) is None and dependency.required:
-            raise missing_dependency(kind, name, key)
-    return {**arguments, **objects}
-
-
-def checked_parameters(kind: str, name: str, cls: type, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return every parameter of a constructor with its value or default, converted to its type; raises ConfigError."""
-    wanted = signature(kind, name, cls)
-    node = cast(DictConfig, OmegaConf.structured(node_type(kind, name, cls)))
-    for key, value in values.items():
-        if key not in wanted.parameters:
-            raise unknown_parameter(kind, name, key, wanted)
-        try:
-            node[key] = value
-        except OmegaConfBaseException as cause:
-            raise wrong_type(kind, name, wanted.parameters[key], value) from cause
-    missing = [key for key in wanted.parameters if OmegaConf.is_missing(node, key)]
-    if missing:
-        raise ConfigError(f"{kind} '{name}' needs the parameter '{missing[0]}'; add {kind}.{missing[0]}=VALUE")
-    plain = to_plain(node)
-    arguments = {}
-    for key, parameter in wanted.parameters.items():
-        try:
-            arguments[key] = _restore(plain[key], parameter.annotation)
-        except TypeError as cause:
-            raise wrong_type(kind, name, parameter, plain[key]) from cause
-    return arguments
-
-
-def missing_dependency(kind: str, name: str, key: str) -> ConfigError:
-    """Return the error for an object that a plugin needs and that nothing provides."""
-    hint = f"; add {key}=NAME. Known: {', '.join(available(key)) or 'none'}" if key in KINDS else ""
-    return ConfigError(f"{kind} '{name}' needs {'an' if key[0] in 'aeiou' else 'a'} {key}{hint}")
-
-
-def unknown_parameter(kind: str, name: str, key: str, wanted: Signature) -> ConfigError:
-    """Return the error for a parameter that the plugin does not have."""
-    if key in wanted.dependencies:
-        return ConfigError(f"'{key}' of {kind} '{name}' is an object, not a setting; choose it with {key}=NAME")
-    known = list(wanted.parameters)
-    return ConfigError(
-        f"{kind} '{name}' has no parameter '{key}'.{suggestion(key, known)} Known: {', '.join(known) or 'none'}"
-    )
-
-
-def wrong_type(kind: str, name: str, parameter: Parameter, value: Any) -> ConfigError:
-    """Return the error for a value that is not of the parameter's type."""
-    return ConfigError(
-        f"{kind}.{parameter.name}={value} (of '{name}') has the wrong type; expected {type_name(parameter.annotation)}"
-    )
-
-
 def to_plain(node: Any) -> dict[str, Any]:
     """Return a resolved OmegaConf node as plain Python; raises ConfigError for an interpolation that leads nowhere."""
     try:
@@ -200,10 +122,59 @@ def to_plain(node: Any) -> dict[str, Any]:
         raise ConfigError(str(cause).splitlines()[0]) from cause
 
 
+def restore(value: Any, annotation: Any) -> Any:
+    """Return a plain value as the annotation's type: tuples, dataclasses, floats; choices and bounds are checked.
+
+    Raises:
+        TypeError: The value does not fit; the message says why, or is empty where the type alone explains it.
+    """
+    choices = _alternatives(annotation)
+    if len(choices) > 1 or annotation is Any or (value is None and choices[0] is not annotation):
+        return value
+    only = choices[0]
+    if typing.get_origin(only) is typing.Annotated:
+        inner, *notes = typing.get_args(only)
+        value = restore(value, inner)
+        for note in notes:
+            if isinstance(note, Bounds):
+                note.check(value)
+        return value
+    if typing.get_origin(only) is typing.Literal:
+        if value not in typing.get_args(only):
+            raise TypeError(unknown_choice(value, typing.get_args(only)))
+        return value
+    if dataclasses.is_dataclass(only):
+        if dataclasses.is_dataclass(value):
+            return value
+        hints = typing.get_type_hints(only, include_extras=True)
+        return only(**{key: restore(member, hints[key]) for key, member in value.items()})  # type: ignore[operator]
+    members = typing.get_args(only)
+    sort = typing.get_origin(only) or only
+    if sort not in (tuple, list):
+        return _restore_scalar(value, only)
+    if not isinstance(value, (list, tuple)):
+        raise TypeError
+    if sort is tuple and members and Ellipsis not in members:
+        if len(members) != len(value):
+            raise TypeError
+        return tuple(restore(v, m) for v, m in zip(value, members, strict=True))
+    return sort(restore(v, members[0]) if members else v for v in value)
+
+
+def unknown_choice(value: Any, known: tuple[Any, ...]) -> str:
+    """Return what is wrong with a value that is none of the choices."""
+    return f"expected one of {', '.join(map(str, known))}.{suggestion(str(value), map(str, known))}"
+
+
 def type_name(annotation: Any) -> str:
     """Return an annotation as a reader would write it."""
     if annotation is type(None):
         return "None"
+    if typing.get_origin(annotation) is typing.Annotated:
+        inner, *notes = typing.get_args(annotation)
+        return " ".join([type_name(inner), *(str(note) for note in notes if isinstance(note, Bounds))])
+    if typing.get_origin(annotation) is typing.Literal:
+        return f"one of {', '.join(map(str, typing.get_args(annotation)))}"
     if isinstance(annotation, type) and not typing.get_args(annotation):
         members = f" ({', '.join(annotation.__members__)})" if issubclass(annotation, Enum) else ""
         return annotation.__name__ + members
@@ -212,27 +183,34 @@ def type_name(annotation: Any) -> str:
     return str(annotation).replace("typing.", "").replace("collections.abc.", "")
 
 
+class _Scope(dict[str, Any]):
+    """Names of a constructor's module; one that is imported only for type checkers marks an object, not a setting."""
+
+    def __init__(self, known: Mapping[str, Any]) -> None:
+        super().__init__()
+        self._known = known
+
+    def __missing__(self, name: str) -> Any:
+        if name in self._known or hasattr(builtins, name):
+            raise KeyError(name)  # found by the lookup that follows
+        return Callable
+
+
 def _hints(constructor: Callable[..., None]) -> dict[str, Any]:
-    """Resolve annotations one by one: a name imported only for type checkers marks an object, not a setting."""
     scope = getattr(constructor, "__globals__", {})
-    hints: dict[str, Any] = {}
-    for name, annotation in getattr(constructor, "__annotations__", {}).items():
-        if isinstance(annotation, str):
-            try:
-                annotation = eval(
-                    annotation, scope
-                )  # the same as typing.get_type_hints, which fails for all if one fails
-            except NameError:
-                annotation = Callable
-        hints[name] = annotation
-    return hints
+    return typing.get_type_hints(constructor, localns=_Scope(scope), include_extras=True)
 
 
 def _alternatives(annotation: Any) -> tuple[Any, ...]:
-    """Members of a union without None; one element for anything else."""
+    """Return the members of a union without None; one element for anything else."""
     if typing.get_origin(annotation) in (typing.Union, types.UnionType):
         return tuple(a for a in typing.get_args(annotation) if a is not type(None))
     return (annotation,)
+
+
+def is_factory(annotation: Any) -> bool:
+    """Return True if a dependency is asked for as a zero-argument factory of instances."""
+    return any(a is Callable or typing.get_origin(a) is Callable for a in _alternatives(annotation))
 
 
 def _is_dependency(annotation: Any) -> bool:
@@ -242,14 +220,25 @@ def _is_dependency(annotation: Any) -> bool:
     )
 
 
+def _bare(annotation: Any) -> Any:
+    """Return the type behind `Annotated` and `Literal`."""
+    if typing.get_origin(annotation) is typing.Annotated:
+        return _bare(typing.get_args(annotation)[0])
+    if typing.get_origin(annotation) is typing.Literal:
+        kinds = {type(choice) for choice in typing.get_args(annotation)}
+        return kinds.pop() if len(kinds) == 1 else Any
+    return annotation
+
+
 def _is_data(annotation: Any) -> bool:
+    annotation = _bare(annotation)
     if annotation is Any or annotation is inspect.Parameter.empty:
         return True
-    choices = _alternatives(annotation)
+    choices = tuple(_bare(choice) for choice in _alternatives(annotation))
     if len(choices) > 1:
         return all(choice in SCALARS for choice in choices)
     (only,) = choices
-    if only in SCALARS or (isinstance(only, type) and issubclass(only, Enum)):
+    if only in SCALARS or (isinstance(only, type) and issubclass(only, Enum)) or dataclasses.is_dataclass(only):
         return True
     if only in (list, tuple, dict):
         return True
@@ -261,27 +250,51 @@ def _is_data(annotation: Any) -> bool:
 def _for_omegaconf(annotation: Any) -> Any:
     """Write sequences as plain lists: OmegaConf refuses nested and variadic tuples; `_restore` checks the members."""
     choices = _alternatives(annotation)
-    if len(choices) == 1 and (typing.get_origin(choices[0]) or choices[0]) in (tuple, list):
-        return list[Any] if choices[0] is annotation else list[Any] | None
-    return annotation
+    if len(choices) > 1:
+        return annotation
+    bare, optional = _bare(choices[0]), choices[0] is not annotation
+    if dataclasses.is_dataclass(bare):
+        bare = _omegaconf_class(bare)
+    elif (typing.get_origin(bare) or bare) in (tuple, list):
+        bare = list[Any]
+    return bare | None if optional else bare
 
 
-def _restore(value: Any, annotation: Any) -> Any:
-    """Check the members of a sequence and give tuples back where the signature says so; TypeError for a misfit."""
-    choices = _alternatives(annotation)
-    if len(choices) > 1 or annotation is Any or (value is None and choices[0] is not annotation):
-        return value
-    only, members = choices[0], typing.get_args(choices[0])
-    sort = typing.get_origin(only) or only
-    if sort not in (tuple, list):
-        return _restore_scalar(value, only)
-    if not isinstance(value, (list, tuple)):
-        raise TypeError
-    if sort is tuple and members and Ellipsis not in members:
-        if len(members) != len(value):
-            raise TypeError
-        return tuple(_restore(v, m) for v, m in zip(value, members, strict=True))
-    return sort(_restore(v, members[0]) if members else v for v in value)
+@functools.cache
+def _omegaconf_class(cls: Any) -> type:
+    """Return a dataclass like `cls` whose annotations OmegaConf understands."""
+    hints = typing.get_type_hints(cls, include_extras=True)
+    fields: list[tuple[str, Any, Any]] = []
+    for item in dataclasses.fields(cls):
+        value = MISSING if item.default is dataclasses.MISSING else item.default
+        if item.default_factory is not dataclasses.MISSING:
+            value = item.default_factory()
+        fields.append((item.name, _for_omegaconf(hints[item.name]), _field(value)))
+    made = make_dataclass(cls.__name__, fields)
+    made.__module__ = cls.__module__
+    return made
+
+
+def _field(value: Any) -> Any:
+    """Return a dataclass field with a default, also a mutable one."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return field(default_factory=functools.partial(_for_node, value))
+    if isinstance(value, tuple):
+        value = list(value)
+    if isinstance(value, (list, dict)):
+        return field(default_factory=functools.partial(_copy, value))
+    return field(default=value)
+
+
+def _for_node(value: Any) -> Any:
+    cls = _omegaconf_class(type(value))
+    values = {item.name: getattr(value, item.name) for item in dataclasses.fields(value)}
+    return cls(
+        **{
+            key: _for_node(v) if dataclasses.is_dataclass(v) else (list(v) if isinstance(v, tuple) else v)
+            for key, v in values.items()
+        }
+    )
 
 
 def _restore_scalar(value: Any, only: Any) -> Any:

@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from icub_core.config.folders import TYPED_GROUPS
-from icub_core.errors import ConfigError, unknown_name
+from icub_core.errors import ConfigError
 
 if TYPE_CHECKING:
     from icub_core.scene import ObjectSpec, Scene
@@ -116,11 +116,3 @@ def check_device(config: DictConfig) -> None:
     except (RuntimeError, AssertionError) as cause:  # torch without CUDA asserts
         reason = str(cause).splitlines()[0]
         raise ConfigError(f"device={config.device} cannot be used: {reason}; device=cpu always can") from cause
-
-
-def pipeline_runner(name: str) -> Any:
-    """Import a pipeline's function ``run(cfg, run_dir) -> dict``; raises ConfigError with the nearest valid name."""
-    known = sorted(option for group, option in TYPED_GROUPS if group == "pipeline")
-    if name not in known:
-        raise ConfigError(unknown_name("pipeline", name, known))
-    return importlib.import_module(f"icub_pipelines.{name}").run

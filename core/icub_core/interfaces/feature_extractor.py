@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class ImageFeatures:
-    """What is computed once an image.
+    """What is computed once per image.
 
     Attributes:
         maps: Whatever the extractor needs to pool from later.
@@ -30,7 +30,7 @@ class ImageFeatures:
 
 @dataclass(frozen=True, eq=False)
 class RpnCells:
-    """What an on-line region proposal network learns from: one row a location of the feature maps.
+    """What an on-line region proposal network learns from: one row per feature-map location.
 
     Attributes:
         features: (L, f_r) float32.
@@ -48,8 +48,8 @@ class FeatureExtractor(ABC):
 
     Contract: the same image gives the same numbers; nothing is trained by being used; dimensions are constant.
 
-    An extractor with a pre-trained, class-agnostic mask branch also has
-    ``mask_probabilities(features, boxes (N, 4)) -> (N, mask_size, mask_size) in 0..1``; one without lacks the method.
+    What an extractor may offer beside this stands in `icub_core.interfaces.abilities`: `ProposesCells` for an on-line
+    region proposal network, `HasMaskBranch` for a pre-trained mask branch.
     """
 
     @property
@@ -82,7 +82,3 @@ class FeatureExtractor(ABC):
     def refined_boxes(self, features: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
         """Return boxes (N, 4), original pixels, after a pre-trained class-agnostic refinement, if there is one."""
         return boxes
-
-    def rpn_cells(self, features: ImageFeatures) -> RpnCells | None:
-        """Return what an on-line region proposal network learns from; None (the default) when there is no RPN."""
-        return None

@@ -19,12 +19,12 @@ class GraspGenerator(ABC):
     """
 
     @abstractmethod
-    def propose(self, cloud: PointCloud, robot: Robot, table: Table | None, hand: str = "right") -> GraspProposals:
+    def propose(self, cloud: PointCloud, robot: Robot, table: Table | None, hand: str | None = None) -> GraspProposals:
         """Propose grasps of the object whose visible surface is `cloud` (world frame).
 
         Args:
             cloud: Surface points of one object, without the table.
             robot: Gives the hand's description and the reachability.
             table: What the hand must not enter, if there is one.
-            hand: ``"right"`` or ``"left"``.
+            hand: Name of the hand; None takes the robot's first.
         """

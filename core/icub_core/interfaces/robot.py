@@ -9,9 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.errors import ConfigError
 from icub_core.robot_description import RobotDescription
-from icub_core.scene import Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +33,7 @@ class IkSolution:
 
 @dataclass(frozen=True, eq=False)
 class GazeSolution:
-    """Where to turn the neck so that a camera looks at a point.
+    """Joint angles that point a camera at a target.
 
     Attributes:
         q: (n,) full joint vector, rad, within the limits; only the neck differs from the start.
@@ -79,7 +77,7 @@ class Robot(ABC):
         q_start: NDArray[np.float64],
         frame: str,
         *,
-        group: str = "right_reach",
+        group: str | None = None,
         max_iterations: int = 100,
         position_tolerance: float = 1e-3,
         orientation_tolerance: float = 1e-2,
@@ -93,7 +91,7 @@ class Robot(ABC):
             T_world_frame: Wanted pose.
             q_start: (n,) start, also the posture that the solution stays near.
             frame: Name of the frame to place.
-            group: Joints that may move.
+            group: Joints that may move; None moves those that carry the hand whose frame it is.
             max_iterations: Of one descent; 1 or 2 suffice to track a target that moves by millimeters.
             position_tolerance: Meters.
             orientation_tolerance: Radians.
@@ -105,7 +103,7 @@ class Robot(ABC):
         q_start: NDArray[np.float64],
         frame: str,
         *,
-        group: str = "right_reach",
+        group: str | None = None,
         max_iterations: int = 100,
         position_tolerance: float = 1e-3,
         orientation_tolerance: float = 1e-2,
@@ -133,24 +131,3 @@ class Robot(ABC):
             )
             for T in T_world_frames
         ]
-
-    def gaze(self, point: NDArray[np.float64], q_start: NDArray[np.float64], camera: str = "head_cam") -> GazeSolution:
-        """Turn the neck so that `camera` looks at `point` (3,), world, meters; other joints stay at `q_start` (n,).
-
-        Optional: a robot without a neck keeps this default, which raises ConfigError.
-        """
-        raise ConfigError(f"robot '{self.description.name}' has no gaze controller")
-
-    def collisions(
-        self, q: NDArray[np.float64], table: Table | None = None, margin: float = 0.0
-    ) -> tuple[tuple[str, str], ...]:
-        """Return what touches at `q` (n,): pairs of links, or of a link and ``"table"``; none is an empty tuple.
-
-        Optional: a robot without collision shapes keeps this default, which raises ConfigError.
-
-        Args:
-            q: Joint vector, rad.
-            table: Also check the arms and hands with this table.
-            margin: Meters; closer than this counts as touching.
-        """
-        raise ConfigError(f"robot '{self.description.name}' has no collision check")

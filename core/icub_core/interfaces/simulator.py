@@ -1,27 +1,17 @@
-"""Simulator: one world of a robot, a table and objects."""
+"""Simulator: a world of a robot, a table and objects that can be built, set and repeated."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.data import RgbdFrame, RobotState
-from icub_core.errors import SimulationError
+from icub_core.data import RgbdFrame
+from icub_core.interfaces.world import Fault, World
 from icub_core.robot_description import RobotDescription
-from icub_core.scene import CameraView, Light, Material, Scene
-
-
-class Fault(Enum):
-    """What went wrong inside the physics since the last reset; such transitions never reach a replay buffer."""
-
-    HIDDEN_RESET = "the engine reset the world by itself"
-    NOT_A_NUMBER = "a position, velocity or command is not finite"
-    DROPPED_CONTACTS = "contacts or constraints were dropped for lack of space"
-    EXPLODING_VELOCITY = "a velocity is beyond anything physical"
+from icub_core.scene import CameraView, Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,19 +27,17 @@ class Rendering:
     segmentation: NDArray[np.int32] | None = None
 
 
-class Simulator(ABC):
-    """One world.
+class Simulator(World):
+    """A world that can be built, set and repeated.
 
-    Contract:
+    Contract, beside that of `World`:
 
     - nothing but `load` works before `load`; `load` again replaces the world;
     - `reset` restores time 0, the home pose at rest, every object at its rest pose on its given place or parked away;
     - two runs with the same calls are identical; `step(n)` advances time by exactly n timesteps;
     - pixel (row, column) looks along ((column - cx) / fx, (row - cy) / fy, 1), cx = (width - 1) / 2: whole numbers are
       pixel centers; depth 0 is where nothing was hit;
-    - the order of joints and of commands is the description's;
-    - physics faults are reported by `faults`, never raised from `step` and never hidden;
-    - `close` may be called twice.
+    - `faults` covers the time since the last `reset` or `restore_state`.
     """
 
     @abstractmethod
@@ -61,46 +49,25 @@ class Simulator(ABC):
     def scene(self) -> Scene:
         """The scene that was loaded."""
 
-    @property
-    @abstractmethod
-    def time(self) -> float:
-        """Simulated seconds since reset."""
-
     @abstractmethod
     def reset(self) -> None:
-        """Home pose, zero velocity, targets at home; all objects parked out of sight; faults cleared."""
+        """Home pose, zero velocity, time 0, targets at home; all objects parked out of sight; faults cleared."""
 
     @abstractmethod
     def set_joint_positions(self, q: NDArray[np.float64]) -> None:
         """Teleport the robot to `q` (n,), at rest, with targets that hold it there."""
 
     @abstractmethod
-    def set_targets(self, targets: NDArray[np.float64]) -> None:
-        """Command every actuator: (m,) lengths, rad, clipped to the actuators' ranges."""
-
-    @abstractmethod
     def step(self, n: int = 1) -> None:
         """Advance physics by n timesteps."""
 
-    @abstractmethod
-    def robot_state(self) -> RobotState:
-        """Joint positions and velocities, actuator lengths, fingertip contacts of the right hand with any object."""
+    def tick(self, seconds: float) -> None:
+        """Advance physics by the whole number of timesteps nearest to `seconds`, at least one."""
+        self.step(max(1, round(seconds / self.scene.timestep)))
 
-    def joint_positions(self) -> NDArray[np.float64]:
-        """Joint positions (n,), rad: `robot_state().q` for those who need nothing else."""
-        return self.robot_state().q
-
-    def actuator_positions(self) -> NDArray[np.float64]:
-        """Actuated lengths (m,), rad: `robot_state().actuator_positions` for those who need nothing else."""
-        return self.robot_state().actuator_positions
-
-    @abstractmethod
-    def fingertip_contacts(self, hand: str = "right") -> NDArray[np.bool_]:
-        """Which of the five fingertips touch any object: thumb, index, middle, ring, little."""
-
-    @abstractmethod
-    def link_pose(self, link: str) -> NDArray[np.float64]:
-        """T_world_link (4, 4). Raises ConfigError for an unknown link."""
+    def image(self, camera: str, width: int = 320, height: int = 240) -> RgbdFrame:
+        """Return what a camera of the robot sees now."""
+        return self.render(camera, width, height).frame
 
     @abstractmethod
     def object_pose(self, name: str) -> NDArray[np.float64]:
@@ -120,7 +87,7 @@ class Simulator(ABC):
         """What a grasping task reads after every step, in one call for engines in which that is faster.
 
         Returns:
-            `link_pose(frame)` (4, 4), `actuator_positions()` (m,), `fingertip_contacts(hand)` (5,), and the position
+            `link_pose(frame)` (4, 4), `actuator_positions()` (m,), `fingertip_contacts(hand)` (t,), and the position
             (3,) of `object_pose(name)`; the caller copies what it keeps.
         """
         position = self.object_pose(name)[:3, 3]
@@ -141,7 +108,7 @@ class Simulator(ABC):
         segmentation: bool = False,
         shadows: bool = False,
     ) -> Rendering:
-        """Take a image.
+        """Take an image.
 
         Args:
             camera: Name of a camera of the robot, or a free camera.
@@ -152,20 +119,6 @@ class Simulator(ABC):
             shadows: Prettier and about ten times slower.
         """
 
-    def set_appearance(
-        self,
-        *,
-        table: Material | None = None,
-        floor: Material | None = None,
-        backdrop: Material | None = None,
-        lights: tuple[Light, ...] | None = None,
-    ) -> None:
-        """Change looks of the loaded world; None leaves as it is. Lasts until the next `load`.
-
-        Raises SimulationError for what this world does not have, and in simulators that cannot.
-        """
-        raise SimulationError(f"{type(self).__name__} cannot change looks; load a scene with other materials")
-
     @abstractmethod
     def save_state(self) -> NDArray[np.float64]:
         """Everything that decides the future, as one vector."""
@@ -174,10 +127,5 @@ class Simulator(ABC):
     def restore_state(self, state: NDArray[np.float64]) -> None:
         """Continue from a saved state as if nothing had happened in between."""
 
-    @abstractmethod
-    def faults(self) -> tuple[Fault, ...]:
-        """Faults since the last `reset` or `restore_state`, each once."""
 
-    @abstractmethod
-    def close(self) -> None:
-        """Free the engine and its renderers."""
+__all__ = ["Fault", "Rendering", "Simulator"]

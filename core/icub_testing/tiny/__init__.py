@@ -1,4 +1,4 @@
-"""The smallest plugin of every kind that keeps its contract: company for one under test, and proof of the checks."""
+"""Minimal reference plugins, used as test doubles and to validate the checks."""
 
 from importlib import import_module
 from typing import Any
@@ -13,6 +13,8 @@ TINY: dict[str, str] = {
     "robot": "icub_testing.tiny.robot:TinyRobot",
     "objects": "icub_testing.tiny.things:TinyObjects",
     "dataset": "icub_testing.tiny.things:TinyDataset",
+    "task": "icub_testing.tiny.task:TinyTask",
+    "pipeline": "icub_testing.tiny.pipeline:TinyPipeline",
 }
 """Kind to ``module:Class`` of its tiny plugin."""
 

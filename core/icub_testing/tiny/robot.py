@@ -1,4 +1,7 @@
-"""A hand with nine actuated finger joints that hangs from a gantry: three slides, then yaw, pitch and roll."""
+"""A claw of three fingers that hangs from a gantry: three slides, then yaw, pitch and roll.
+
+Neither its sizes nor its names are the iCub's: what holds for it holds for any hand.
+"""
 
 from __future__ import annotations
 
@@ -12,19 +15,24 @@ from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.files import write_text_atomically
-from icub_core.geometry import invert, look_at, matrix_to_quat_wxyz, rotation_log
+from icub_core.geometry import invert, look_at, make_transform, matrix_to_quat_wxyz, rotation_log
 from icub_core.interfaces.robot import IkSolution, Robot
-from icub_core.robot_description import Actuator, JointDynamics, RobotCamera, RobotDescription
+from icub_core.robot_description import Actuator, Grip, HandDescription, JointDynamics, RobotCamera, RobotDescription
 
 FloatArray = NDArray[np.float64]
 
 HAND_FRAME = "tiny_hand"
 CAMERA = "tiny_camera"
-FINGERS = ("thumb", "index", "middle", "ring", "pinky")
-HAND_ACTUATORS = (
-    "hand_finger", "thumb_oppose", "thumb_proximal", "thumb_distal", "index_proximal", "index_distal",
-    "middle_proximal", "middle_distal", "pinky",
-)  # fmt: skip
+HAND = "claw"
+FINGERS = {"left": (0.05, -0.03, 0.0), "right": (0.05, 0.03, 0.0), "rear": (-0.05, 0.0, 0.0)}
+"""Where each finger begins, meters in the hand's frame."""
+ACTUATORS: dict[str, dict[str, float]] = {
+    "claw_spread": {"rear_turn": 1.0},
+    "claw_front": {"left_proximal": 1.0, "left_distal": 1.0, "right_proximal": 1.0, "right_distal": 1.0},
+    "claw_rear_proximal": {"rear_proximal": 1.0},
+    "claw_rear_distal": {"rear_distal": 1.0},
+}
+"""Actuator to what it pulls; the two front fingers share a tendon."""
 PHALANX = 0.03
 PALM = (0.08, 0.08, 0.02)
 HOME = {"gantry_x": -0.2, "gantry_z": 1.35, "gantry_roll": np.pi}
@@ -57,16 +65,13 @@ def _links() -> tuple[_Link, ...]:
         _Link("tiny_pitch", "tiny_yaw", "gantry_pitch", "revolute", y, origin, (-1.6, 1.6)),
         _Link(HAND_FRAME, "tiny_pitch", "gantry_roll", "revolute", x, origin, (-3.3, 3.3), PALM),
     ]
-    places = {"thumb": (0.0, -0.05, 0.0), "index": (0.05, -0.03, 0.0), "middle": (0.05, -0.01, 0.0)}
-    places |= {"ring": (0.05, 0.01, 0.0), "pinky": (0.05, 0.03, 0.0)}
     bone = (PHALANX, 0.014, 0.014)
     middle = (PHALANX / 2, 0.0, 0.0)
-    for finger in FINGERS:
+    for finger, place in FINGERS.items():
         carrier = HAND_FRAME
-        if finger == "thumb":  # opposes first, then flexes
-            links.append(_Link("thumb_base", carrier, "thumb_oppose", "revolute", z, places[finger], (0.0, 1.6)))
-            carrier = "thumb_base"
-        place = places[finger] if finger != "thumb" else origin
+        if finger == "rear":  # turns first, then flexes
+            links.append(_Link("rear_base", carrier, "rear_turn", "revolute", z, place, (0.0, 1.6)))
+            carrier, place = "rear_base", origin
         for part, start in (("proximal", place), ("distal", (PHALANX, 0.0, 0.0))):
             # fingers bend towards the palm's +z
             links.append(
@@ -114,14 +119,9 @@ def _actuators() -> tuple[Actuator, ...]:
     made = [
         Actuator(link.joint, {link.joint: 1.0}, 400.0, link.range) for link in LINKS if link.joint.startswith("gantry")
     ]
-    joints_of = {
-        "hand_finger": {"ring_proximal": 1.0},
-        "pinky": {"pinky_proximal": 1.0, "pinky_distal": 1.0, "ring_distal": 1.0},
-    }
-    for name in HAND_ACTUATORS:
-        coefficients = joints_of.get(name, {name: 1.0})
+    for name, coefficients in ACTUATORS.items():
         upper = 1.6 * len(coefficients)
-        made.append(Actuator(name, coefficients, 2.0, (0.0, upper), open=0.1, close=0.6 * upper))
+        made.append(Actuator(name, coefficients, 2.0, (0.0, upper), open=0.1, close=0.6 * upper, step=0.1 * upper))
     return tuple(made)
 
 
@@ -149,12 +149,25 @@ def _describe() -> RobotDescription:
         joint_names=joints,
         lower=np.array([link.range[0] for link in LINKS]),
         upper=np.array([link.range[1] for link in LINKS]),
-        groups={"right_reach": gantry, "right_arm": gantry, "right_hand": fingers},
+        groups={"gantry": gantry, "fingers": fingers},
         actuators=_actuators(),
         home=HOME,
-        fingertips={"right": tuple(f"{finger}_distal_link" for finger in FINGERS)},
-        hand_frames={"right": HAND_FRAME},
-        hand_actuators={"right": HAND_ACTUATORS},
+        hands={
+            HAND: HandDescription(
+                name=HAND,
+                frame=HAND_FRAME,
+                reach="gantry",
+                actuators=tuple(ACTUATORS),
+                fingertips=tuple(f"{finger}_distal_link" for finger in FINGERS),
+                grip=Grip(
+                    T_hand_grip=make_transform(None, [0.0, 0.0, PALM[2] / 2]),
+                    width=0.08,
+                    fingers_y=np.array([-0.03, 0.03]),
+                    depth=0.03,
+                    sweep=np.array([[-0.05, 0.05], [-0.04, 0.04], [0.0, 0.06]]),
+                ),
+            )
+        },
         cameras=(_camera(),),
         dynamics={
             link.joint: JointDynamics(damping=40.0 if link.joint.startswith("gantry") else 0.1) for link in LINKS
@@ -225,13 +238,13 @@ class TinyRobot(Robot):
         q_start: FloatArray,
         frame: str,
         *,
-        group: str = "right_reach",
+        group: str | None = None,
         max_iterations: int = 100,
         position_tolerance: float = 1e-3,
         orientation_tolerance: float = 1e-2,
     ) -> IkSolution:
         """Read slides and angles off the wanted pose, then clip them to the limits."""
-        self._description.indices(group)
+        self._description.indices(group or self._description.reach_group(frame))
         q = np.clip(q_start, self._description.lower, self._description.upper)
         if not np.all(np.isfinite(T_world_frame)):
             return IkSolution(q, False, np.inf, np.inf)

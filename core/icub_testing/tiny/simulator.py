@@ -100,13 +100,13 @@ class TinySimulator(Simulator):
         self._require_world()
         return RobotState(self._q.copy(), self._dq.copy(), self._A @ self._q + self._b, self.fingertip_contacts())
 
-    def fingertip_contacts(self, hand: str = "right") -> NDArray[np.bool_]:
+    def fingertip_contacts(self, hand: str | None = None) -> NDArray[np.bool_]:
         """A fingertip touches what its middle lies in."""
         self._require_world()
         if self._robot is None:
-            return np.zeros(5, dtype=np.bool_)
+            return np.zeros(0, dtype=np.bool_)
         poses = self._kinematics.link_poses(self._q)
-        tips = [poses[link][:3, 3] for link in self._robot.fingertips[hand]]
+        tips = [poses[link][:3, 3] for link in self._robot.hand(hand).fingertips]
         return np.array([any(self._holds(i, tip) for i in range(len(self._poses))) for tip in tips])
 
     def link_pose(self, link: str) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Planning and acting without thought: straight down onto the middle, then close the hand."""
+"""A grasp generator and a policy of a few lines: straight down onto the middle, then close the hand."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from icub_core.interfaces.grasp_generator import GraspGenerator
 from icub_core.interfaces.policy import Policy
 from icub_core.interfaces.robot import Robot
 from icub_core.scene import Table
-from icub_tasks.grasping.spaces import ACTION_SIZE, TOUCH
 
 MIN_POINTS = 10
 LARGEST = 0.5
@@ -30,7 +29,7 @@ class TinyGraspGenerator(GraspGenerator):
     def __init__(self, clearance: float = 0.05) -> None:
         self._clearance = clearance
 
-    def propose(self, cloud: PointCloud, robot: Robot, table: Table | None, hand: str = "right") -> GraspProposals:
+    def propose(self, cloud: PointCloud, robot: Robot, table: Table | None, hand: str | None = None) -> GraspProposals:
         """Propose what can be reached."""
         points = cloud.points
         if len(points) < MIN_POINTS:
@@ -41,14 +40,14 @@ class TinyGraspGenerator(GraspGenerator):
         if np.any(high - low > LARGEST):
             return GraspProposals((), None, f"the cloud is wider than {LARGEST} m; expected one object")
         center = (low + high) / 2
-        description = robot.description
+        description, chosen = robot.description, robot.description.hand(hand)
         grasps = []
         for score, yaw in ((1.0, 0.0), (0.5, np.pi / 2)):
             T = make_transform(
                 rotation_about("z", yaw) @ rotation_about("x", np.pi), [*center[:2], high[2] + self._clearance]
             )
-            grasp = Grasp(T, center, score, "tiny", hand)
-            frame = description.hand_frames[hand]
+            grasp = Grasp(T, center, score, "tiny", chosen.name)
+            frame = chosen.frame
             reach = (robot.inverse_kinematics(grasp.backed_off(d), description.home_q, frame) for d in PRE_GRASPS)
             if all(solution.reached for solution in reach):
                 grasps.append(grasp)
@@ -66,9 +65,9 @@ class TinyPolicy(Policy):
         self._speed = speed
 
     def act(self, observation: TensorDictBase) -> torch.Tensor:
-        """Return actions (B, 15)."""
-        touch = observation[TOUCH]
-        action = torch.zeros((len(touch), ACTION_SIZE), dtype=torch.float32)
+        """Return actions (B, 6 + F): lift, or close the F actuators."""
+        touch, fingers = observation["touch"], observation["fingers"]
+        action = torch.zeros((len(touch), 6 + fingers.shape[1]), dtype=torch.float32)
         felt = (touch.sum(dim=1) >= 2).float()
         action[:, 2] = felt
         action[:, 6:] = (1 - felt)[:, None] * self._speed

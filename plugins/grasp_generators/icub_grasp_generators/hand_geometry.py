@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.errors import ConfigError, unknown_name
 from icub_core.geometry import FloatArray, invert, make_transform, rotation_about
 from icub_core.interfaces.robot import Robot
 
@@ -86,9 +85,7 @@ def read_hand_geometry(robot: Robot, hand: str) -> HandGeometry:
         ConfigError: The robot has no such hand.
     """
     description = robot.description
-    if hand not in description.hand_frames:
-        raise ConfigError(unknown_name(f"hand of robot '{description.name}'", hand, description.hand_frames))
-    frame = description.hand_frames[hand]
+    frame = description.hand(hand).frame
     root = ET.parse(description.urdf).getroot()
     bodies = {link.attrib["name"]: _spheres_of(link) for link in root.findall("link")}
     parent = {j.find("child").attrib["link"]: j.find("parent").attrib["link"] for j in root.findall("joint")}  # type: ignore[union-attr]

@@ -10,8 +10,7 @@ from rich.table import Table
 from icub_core.errors import ConfigError, IcubError, unknown_name
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.scene import ObjectSpec
-from icub_pipelines.images import draw_instances, save_picture
-from icub_pipelines.settings import ShowingSettings
+from icub_pipelines.images import draw_instances, save_image
 from icub_pipelines.tabletop import Tabletop
 from icub_pipelines.teaching_session import TeachingSession, identities
 
@@ -29,26 +28,26 @@ def converse(
     session: TeachingSession,
     objects: ObjectSet,
     unknown: Sequence[ObjectSpec],
-    settings: ShowingSettings,
+    frames: int,
     ask: Callable[[str], str] = input,
 ) -> None:
     """Answer commands until ``quit`` or the end of the input; a wrong command gets one line and changes nothing.
 
     Args:
-        teaching session: Who teaches and learns.
+        session: Who teaches and learns.
         objects: What can be shown, besides `unknown`.
         unknown: Objects that stand about and can be taught, too.
-        settings: Frames of a training image.
+        frames: Images of an object that is taught.
         ask: Returns what was typed after a prompt; raises EOFError at the end of the input.
     """
-    _Conversation(session, objects, unknown, settings).go_on(ask)
+    _Conversation(session, objects, unknown, frames).answer_all(ask)
 
 
 class _Conversation:
     def __init__(
-        self, session: TeachingSession, objects: ObjectSet, unknown: Sequence[ObjectSpec], settings: ShowingSettings
+        self, session: TeachingSession, objects: ObjectSet, unknown: Sequence[ObjectSpec], frames: int
     ) -> None:
-        self._session, self._settings = session, settings
+        self._session, self._frames = session, frames
         self._specs = {name: objects.get(name) for name in objects.names} | {spec.name: spec for spec in unknown}
         self._console = Console()
         self._looks = 0
@@ -58,10 +57,10 @@ class _Conversation:
             "save": self._save, "help": self._help,
         }  # fmt: skip
 
-    def go_on(self, ask: Callable[[str], str]) -> None:
+    def answer_all(self, ask: Callable[[str], str]) -> None:
         if self._session.heads.is_dir():
             self._session.segmenter.load(self._session.heads)
-            self._console.print(f"going on with what was learned in {self._session.heads}", soft_wrap=True)
+            self._console.print(f"resuming from what was learned in {self._session.heads}", soft_wrap=True)
         self._console.print("type help for the commands")
         while True:
             try:
@@ -76,7 +75,7 @@ class _Conversation:
                 except IcubError as error:
                     self._console.print(str(error), soft_wrap=True, markup=False)
         self._save()
-        self._session.context.record(
+        self._session.run.record(
             {"showing.objects": len(self._session.segmenter.classes), "showing.training_images": self._training_images}
         )
 
@@ -95,14 +94,14 @@ class _Conversation:
     def _teach(self, *names: str) -> None:
         if len(names) != 1:
             raise ConfigError("teach needs the name of one object, such as: teach 004_sugar_box")
-        context = self._session.context
+        run = self._session.run
         spec = self._spec(names[0])
         self._training_images += 1
-        with context.stage("teach"):
-            rng = context.rng(f"teach {len(self._session.segmenter.classes)} {self._training_images}")
-            report, sample, seconds = self._session.teach(spec, self._settings.frames, rng)
-        picture = context.run_dir / f"taught_{self._training_images:02d}.png"
-        save_picture(picture, sample)
+        with run.stage("teach"):
+            rng = run.rng(f"teach {len(self._session.segmenter.classes)} {self._training_images}")
+            report, sample, seconds = self._session.teach(spec, self._frames, rng)
+        picture = run.run_dir / f"taught_{self._training_images:02d}.png"
+        save_image(picture, sample)
         self._session.segmenter.save(self._session.heads)
         self._console.print(
             f"learned {spec.name}: {seconds:.1f} s in all, {report.seconds:.1f} s after the last frame; {picture}",
@@ -110,7 +109,7 @@ class _Conversation:
         )
 
     def _look(self, *names: str) -> None:
-        segmenter, context = self._session.segmenter, self._session.context
+        segmenter, run = self._session.segmenter, self._session.run
         if not segmenter.classes:
             raise ConfigError("nothing is known yet; expected: teach NAME first")
         self._looks += 1
@@ -121,16 +120,16 @@ class _Conversation:
             tabletop = Tabletop(frames=1, targets=(len(wanted), len(wanted)))
         else:
             other, tabletop = [s for s in self._specs.values() if s.name not in segmenter.classes], Tabletop(frames=1)
-        with context.stage("look"):
-            looks = self._session.look(known, other, tabletop, context.rng(f"look {self._looks}"))
+        with run.stage("look"):
+            looks = self._session.look(known, other, tabletop, run.rng(f"look {self._looks}"))
             (found,) = self._session.recognize(looks)
         frame, truth = looks[0]
         table = Table("seen as", "score", "in truth")
         shown = identities(found, truth)
         for instance, name in shown:
             table.add_row(instance.label, f"{instance.score:.2f}", name or "no single object")
-        picture = context.run_dir / f"look_{self._looks:02d}.png"
-        save_picture(picture, draw_instances(frame.rgb, [instance for instance, _ in shown]))
+        picture = run.run_dir / f"look_{self._looks:02d}.png"
+        save_image(picture, draw_instances(frame.rgb, [instance for instance, _ in shown]))
         self._console.print(table)
         self._console.print(f"on the table: {', '.join(t.label for t in truth)}; {picture}", soft_wrap=True)
 

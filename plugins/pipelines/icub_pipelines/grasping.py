@@ -8,18 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 from tensordict import TensorDictBase
 
+from icub_core.data import Grasp
 from icub_core.geometry import look_at
 from icub_core.hooks import Events
-from icub_core.interfaces.policy import Policy
+from icub_core.interfaces.abilities import Learns, TriesGrasps
+from icub_core.interfaces.policy import LearnReport, Policy
+from icub_core.interfaces.task import RUNNING, Task
+from icub_core.rollouts import EpisodeResults, evaluate
+from icub_core.run import Run
 from icub_core.scene import CameraView
-from icub_pipelines.context import RunContext
 from icub_pipelines.images import captioned, save_animation
 from icub_pipelines.settings import GraspSettings
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.evaluation import EpisodeResults, evaluate
-from icub_tasks.grasping.plan import GraspPlan
-from icub_tasks.grasping.task import GraspTask
-from icub_tasks.grasping.termination import EndReason
 
 EVALUATION_SEED = 1_000_000
 """Added to the run's seed, so that evaluation never meets the starts that were learned from."""
@@ -31,27 +30,32 @@ VIDEO_VIEW = CameraView(look_at([-0.92, 0.5, 1.32], [-0.27, 0.03, 1.13]), fovy=0
 """From across the table, on the side of the right hand."""
 
 
-def plan(context: RunContext, task: GraspTask, target: str) -> None:
+def plan(run: Run, task: Task, target: str) -> None:
     """Place the target at random a few times, look, and plan."""
-    rng = context.rng("plan")
+    if not isinstance(task, TriesGrasps):
+        run.note(f"the task '{type(task).__name__}' plans no grasps: the stage plan does nothing")
+        return
+    rng = run.rng("plan")
     found, spent = 0, 0.0
     for number in range(PLANS_TRIED):
-        task.place(target, rng)
+        task.place(0, target, rng)
         started = time.perf_counter()
-        answer = task.plan(target)
+        answer = task.plan(0, target)
         spent += time.perf_counter() - started
-        if isinstance(answer, GraspPlan):
+        if isinstance(answer, Grasp):
             found += 1
-            context.events.emit("icub_grasp_selected", grasp=answer.grasp)
-        context.progress((number + 1) / PLANS_TRIED, f"{found} of {number + 1} placements have a plan")
-    context.record({"plan.share_with_plan": found / PLANS_TRIED, "plan.seconds_each": spent / PLANS_TRIED})
+            run.events.emit("icub_grasp_selected", grasp=answer)
+        run.progress((number + 1) / PLANS_TRIED, f"{found} of {number + 1} placements have a plan")
+    run.record({"plan.share_with_plan": found / PLANS_TRIED, "plan.seconds_each": spent / PLANS_TRIED})
 
 
-def grasp(context: RunContext, env: GraspEnv, policy: Policy, settings: GraspSettings) -> EpisodeResults:
-    """Let the policy learn within its budget, then evaluate it on fresh starts and video the last episodes."""
-    report = policy.learn(env, context.run_dir / "policy", lambda share, text: context.progress(0.7 * share, text))
+def grasp(run: Run, task: Task, policy: Policy, settings: GraspSettings) -> EpisodeResults:
+    """Let the policy learn within its budget, then evaluate it on fresh starts and record the last episodes."""
+    report = LearnReport()
+    if isinstance(policy, Learns):
+        report = policy.learn(task, run.run_dir / "policy", lambda share, text: run.progress(0.7 * share, text))
     if report.env_steps:
-        context.record(
+        run.record(
             {
                 "grasp.learn_seconds": report.seconds,
                 "grasp.learn_env_steps": report.env_steps,
@@ -60,23 +64,23 @@ def grasp(context: RunContext, env: GraspEnv, policy: Policy, settings: GraspSet
             }
         )
     video = Video(settings.episodes - settings.video_episodes)
-    seed = context.seed + EVALUATION_SEED
-    announce = Announcer(context.events, seed)
+    seed = run.seed + EVALUATION_SEED
+    announce = Announcer(run.events, seed, task.reasons)
 
-    def record(world: int, env: GraspEnv, episode: int, step: TensorDictBase) -> None:
-        video.record(world, env, episode)
+    def record(world: int, task: Task, episode: int, step: TensorDictBase) -> None:
+        video.record(world, task, episode)
         announce.record(episode, step)
 
     results = evaluate(
         policy,
-        env,
+        task,
         settings.episodes,
         seed=seed,
         recorder=record,
-        progress=lambda share, text: context.progress(0.7 + 0.3 * share, text),
+        progress=lambda share, text: run.progress(0.7 + 0.3 * share, text),
     )
     low, high = results.interval
-    context.record(
+    run.record(
         {
             "grasp.success_rate": results.success_rate,
             "grasp.success_low": low,
@@ -87,20 +91,20 @@ def grasp(context: RunContext, env: GraspEnv, policy: Policy, settings: GraspSet
             **{f"grasp.ended_{reason}": count for reason, count in results.ends().items()},
         }
     )
-    pictures = video.pictures(results)
-    if pictures:
-        path = context.run_dir / "grasp.gif"
-        save_animation(path, pictures, frames_per_second=10)
-        context.pictures.append(("The last grasps", path))
+    images = video.images(results)
+    if images:
+        path = run.run_dir / "grasp.gif"
+        save_animation(path, images, frames_per_second=10)
+        run.images.append(("The last grasps", path))
     return results
 
 
 class Announcer:
     """Tells listeners about episodes and their steps."""
 
-    def __init__(self, events: Events, seed: int) -> None:
-        """Announce to `events`; `seed` is that of the evaluation's starts."""
-        self._events, self._seed = events, seed
+    def __init__(self, events: Events, seed: int, reasons: Sequence[str]) -> None:
+        """Announce to `events`; `seed` is that of the evaluation's starts, `reasons` the task's."""
+        self._events, self._seed, self._reasons = events, seed, reasons
         self._steps: dict[int, int] = {}
         self._wants_steps = events.wants("icub_step")
 
@@ -111,14 +115,14 @@ class Announcer:
         self._steps[episode] = self._steps.get(episode, 0) + 1
         if self._wants_steps:
             self._events.emit("icub_step", observation=step, action=step["action"], reward=float(step["reward"]))
-        reason = EndReason(int(step["reason"]))
-        if reason != EndReason.RUNNING:
+        reason = int(step["reason"])
+        if reason != RUNNING:
             self._events.emit(
                 "icub_episode_end",
                 episode=episode,
-                success=reason == EndReason.SUCCESS,
+                success=bool(step["success"]),
                 steps=self._steps[episode],
-                reason=reason.name.lower(),
+                reason=self._reasons[reason],
             )
 
 
@@ -126,24 +130,23 @@ class Video:
     """Images of the last episodes, kept by episode so that worlds running side by side do not mix."""
 
     def __init__(self, first_episode: int) -> None:
-        """Film episodes from number `first_episode` on."""
+        """Record episodes from number `first_episode` on."""
         self._first = first_episode
-        self._pictures: dict[int, list[np.ndarray]] = {}
+        self._images: dict[int, list[np.ndarray]] = {}
         self._steps: dict[int, int] = {}
 
-    def record(self, world: int, env: GraspEnv, episode: int) -> None:
-        """Take a image when it is time."""
+    def record(self, world: int, task: Task, episode: int) -> None:
+        """Take an image when it is time."""
         if episode < self._first:
             return
         step = self._steps[episode] = self._steps.get(episode, -1) + 1
         if step % VIDEO_EVERY == 0:
-            picture = env.batch.tasks[world].simulator.render(VIDEO_VIEW, *VIDEO_SIZE, shadows=True)
-            self._pictures.setdefault(episode, []).append(picture.frame.rgb)
+            self._images.setdefault(episode, []).append(task.render_world(world, VIDEO_VIEW, *VIDEO_SIZE))
 
-    def pictures(self, results: EpisodeResults) -> Sequence[np.ndarray]:
+    def images(self, results: EpisodeResults) -> Sequence[np.ndarray]:
         """Return all images, episode after episode, each saying how its episode ended."""
         video = []
-        for episode, pictures in sorted(self._pictures.items()):
+        for episode, images in sorted(self._images.items()):
             outcome = "grasped" if results.success[episode] else "failed"
-            video += [captioned(p, f"{results.objects[episode]}, episode {episode}: {outcome}") for p in pictures]
+            video += [captioned(p, f"{results.objects[episode]}, episode {episode}: {outcome}") for p in images]
         return video

@@ -64,7 +64,7 @@ def contact_sheet(images: Sequence[Image], columns: int) -> Image:
     return sheet
 
 
-def save_picture(path: Path, rgb: Image) -> None:
+def save_image(path: Path, rgb: Image) -> None:
     """Write an image as PNG or JPEG, by the suffix of `path`."""
     write_bytes_atomically(path, iio.imwrite("<bytes>", rgb, extension=path.suffix))
 

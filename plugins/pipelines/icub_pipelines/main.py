@@ -1,141 +1,131 @@
-"""The main job: teach, learn, see, plan, grasp, report."""
+"""The main job: teach, learn, see, plan, grasp."""
 
 from __future__ import annotations
 
 import functools
-import logging
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
 
-from omegaconf import DictConfig
-
-from icub_core.config.assembly import Assembly
-from icub_core.config.settings import build_scene, to_dataclass
 from icub_core.errors import ConfigError
-from icub_core.interfaces.segmenter import Segmenter
-from icub_core.scene import ObjectSpec
+from icub_core.interfaces.pipeline import Pipeline, Stage
+from icub_core.interfaces.simulator import Simulator
+from icub_core.interfaces.task import Task
+from icub_core.run import Run
 from icub_pipelines import grasping, seeing
-from icub_pipelines.context import RunContext
-from icub_pipelines.lifecycle import carry_out
-from icub_pipelines.settings import GraspSettings, MainSettings, grasped, shown
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.task import GraspTask
-from icub_tasks.grasping.visual import PictureEncoder
+from icub_pipelines.settings import GraspSettings, SeeSettings, TeachSettings, target_name, taught_names
 
-logger = logging.getLogger(__name__)
-
-SCRIPTED = "demonstrations"
-"""Carries planned grasps out when neither a segmenter nor a policy was chosen."""
+TAUGHT = 5
+"""Objects that are taught when nothing was chosen."""
 
 
-def run(cfg: DictConfig, run_dir: Path) -> dict[str, Any]:
-    """Do every stage whose plugin was chosen and write the run folder.
+class Main(Pipeline):
+    """Teach objects, find them on a cluttered table, plan grasps, learn to carry them out.
 
     Args:
-        cfg: Composed configuration.
-        run_dir: Where everything is written; stages that an interrupted run has finished there are not done again.
-
-    Returns:
-        The flat figures of metrics.json.
+        teach: What is taught.
+        see: How the segmenter is evaluated.
+        grasp: What is grasped, and how often.
+        scripted_policy: Carries planned grasps out when neither a segmenter nor a policy was chosen.
     """
-    settings = cast(MainSettings, to_dataclass(cfg.pipeline))
-    return carry_out(cfg, run_dir, lambda context: _stages(context, cfg, settings))
+
+    def __init__(
+        self,
+        teach: TeachSettings = TeachSettings(),  # noqa: B008 - frozen
+        see: SeeSettings = SeeSettings(),  # noqa: B008 - frozen
+        grasp: GraspSettings = GraspSettings(),  # noqa: B008 - frozen
+        scripted_policy: str = "demonstrations",
+    ) -> None:
+        self._teach, self._see, self._grasp, self._scripted = teach, see, grasp, scripted_policy
+
+    def stages(self, run: Run) -> tuple[Stage, ...]:
+        """Return teach, learn, see, plan, grasp; what cannot work is refused before anything starts."""
+        plugins = run.plugins
+        if not plugins.chosen("segmenter") and not plugins.chosen("policy"):
+            plugins.choose("policy", self._scripted)
+            run.note(
+                f"no policy was chosen: planned grasps are carried out by '{self._scripted}'; +policy=NAME learns to"
+            )
+        objects = plugins.get("objects")
+        self._names = taught_names(self._teach.objects, self._teach.preferred, objects.names, TAUGHT)
+        known = self._names if plugins.chosen("segmenter") else objects.names
+        if not known:
+            raise ConfigError("pipeline.teach.objects is empty; expected at least one name of the object set")
+        self._target = target_name(self._grasp.target, self._grasp.preferred, known)
+        for name in self._names if plugins.chosen("segmenter") else ():
+            objects.get(name)  # a misspelled name must not wait until its stage
+        if plugins.chosen("policy"):
+            objects.get(self._target)
+            if not plugins.chosen("grasp_generator"):
+                raise ConfigError("a policy starts from a grasp pose; choose grasp_generator=superquadrics")
+        for kind in ("segmenter", "policy", "grasp_generator"):
+            if plugins.chosen(kind):
+                plugins.get(kind)  # the same for a misspelled parameter or a missing weight file
+        without = "no segmenter was chosen: masks are the simulator's ground truth"
+        idle = "no policy was chosen: nothing is grasped; add +policy=NAME"
+        segmenter, policy = ("segmenter",), ("policy",)
+        return (
+            Stage("teach", self._do_teach, segmenter, without, resume=lambda run: _heads(run).exists()),
+            Stage("learn", self._do_learn, segmenter, without, resume=_load_heads),
+            Stage("see", self._do_see, segmenter, without),
+            Stage("plan", self._do_plan, policy, idle),
+            Stage("grasp", self._do_grasp, policy, idle),
+        )
+
+    def _do_teach(self, run: Run) -> None:
+        specs = [run.plugins.get("objects").get(name) for name in self._names]
+        robot = run.plugins.get("robot").description
+        seeing.teach(run, _simulator(run), robot, specs, run.plugins.get("segmenter"), self._teach.frames)
+
+    def _do_learn(self, run: Run) -> None:
+        seeing.learn(run, run.plugins.get("segmenter"))
+        run.plugins.get("segmenter").save(_heads(run))
+
+    def _do_see(self, run: Run) -> None:
+        objects = run.plugins.get("objects")
+        specs = [objects.get(name) for name in self._names]
+        # the stream keeps its first name, so that figures stay what they were
+        others = seeing.distractors(objects, self._names, self._see, run.rng("strangers"))
+        seeing.see(run, _simulator(run), specs, others, run.plugins.get("segmenter"), self._see)
+
+    def _do_plan(self, run: Run) -> None:
+        grasping.plan(run, self._task(run), self._target)
+
+    def _do_grasp(self, run: Run) -> None:
+        grasping.grasp(run, self._task(run), run.plugins.get("policy"), self._grasp)
+
+    def _task(self, run: Run) -> Task:
+        """Return the worlds in which the target is grasped, with the segmenter's masks where there is one."""
+        chosen, settings = run.plugins.chosen("segmenter"), self._grasp
+        masks = functools.partial(seeing.find_mask, run.plugins.get("segmenter")) if chosen else None
+
+        def make() -> Task:
+            task: Task = run.plugins.fresh(
+                "task",
+                targets=[self._target],
+                masks=masks,
+                num_envs=settings.worlds,
+                starts=settings.starts,
+                threads=settings.threads,
+                visual=settings.visual,
+                seed=run.seed,
+            )
+            return task
+
+        made: Task = run.shared("task", make)
+        return made
 
 
-def _stages(context: RunContext, cfg: DictConfig, settings: MainSettings) -> None:
-    plugins = Assembly(cfg)
-    if not plugins.chosen("segmenter") and not plugins.chosen("policy"):
-        plugins = Assembly({str(key): cfg.get(key) for key in cfg} | {"policy": {"plugin": SCRIPTED}})
-        context.note(f"no policy was chosen: planned grasps are carried out by '{SCRIPTED}'; +policy=NAME learns to")
-    objects = plugins.get("objects")
-    names = shown(settings.teach.objects, objects.names)
-    taught = [objects.get(name) for name in names] if plugins.chosen("segmenter") else []
-    target = grasped(settings.grasp.target, names if taught else objects.names)
-    if plugins.chosen("policy"):
-        objects.get(target)  # a misspelt name must not wait until its stage
-    for kind in ("segmenter", "policy", "grasp_generator"):
-        if plugins.chosen(kind):
-            plugins.get(kind)  # nor a misspelt parameter or a missing weight file
-    segmenter = plugins.get("segmenter") if plugins.chosen("segmenter") else None
-    if segmenter is None:
-        context.note("no segmenter was chosen: masks are the simulator's ground truth")
-    else:
-        _learn_to_see(context, plugins, segmenter, taught, settings)
-    if not plugins.chosen("policy"):
-        context.note("no policy was chosen: nothing is grasped; add +policy=NAME")
-        return
-    if not plugins.chosen("grasp_generator"):
-        raise ConfigError("a policy starts from a grasp pose; choose grasp_generator=superquadrics")
-    env = grasp_env(cfg, plugins, segmenter, target, settings.grasp, context.seed)
-    try:
-        with context.stage("plan"):
-            grasping.plan(context, env.batch.tasks[0], target)
-        with context.stage("grasp"):
-            grasping.grasp(context, env, plugins.get("policy"), settings.grasp)
-    finally:
-        env.close()
+def _simulator(run: Run) -> Simulator:
+    """Return the simulator in which objects are taught and found; grasping has its own."""
+    made: Simulator = run.shared("simulator", lambda: run.plugins.fresh("simulator"))
+    return made
 
 
-def _learn_to_see(
-    context: RunContext,
-    plugins: Assembly,
-    segmenter: Segmenter,
-    taught: Sequence[ObjectSpec],
-    settings: MainSettings,
-) -> None:
-    if not taught:
-        raise ConfigError("pipeline.teach.objects is empty; expected at least one name of the object set")
-    heads = context.run_dir / "segmenter"
-    if context.recall("see"):
-        segmenter.load(heads)
-        logger.info("the stages teach, learn and see were done before in %s", context.run_dir)
-        return
-    simulator, objects = plugins.fresh("simulator"), plugins.get("objects")
-    robot = plugins.get("robot").description
-    try:
-        with context.stage("teach"):
-            seeing.teach(context, simulator, robot, taught, segmenter, settings.teach.frames)
-        with context.stage("learn"):
-            seeing.learn(context, segmenter)
-        with context.stage("see"):
-            names = [spec.name for spec in taught]
-            distractors = seeing.distractors(objects, names, settings.see.distractors, context.rng("strangers"))
-            seeing.see(context, simulator, taught, distractors, segmenter, settings.see)
-    finally:
-        simulator.close()
-    segmenter.save(heads)
-    context.remember("see")
+def _heads(run: Run) -> Path:
+    return run.run_dir / "segmenter"
 
 
-def grasp_env(
-    cfg: DictConfig,
-    plugins: Assembly,
-    segmenter: Segmenter | None,
-    target: str,
-    settings: GraspSettings,
-    seed: int,
-) -> GraspEnv:
-    """Build the worlds in which the target is grasped.
-
-    Args:
-        cfg: Composed configuration, for the scene.
-        plugins: Of the run.
-        segmenter: Finds the target in the image; None takes the simulator's ground truth.
-        target: Name of the object.
-        settings: Of the stage.
-        seed: Of the starts.
-    """
-    masks = functools.partial(seeing.find_mask, segmenter) if segmenter is not None else None
-    scene = build_scene(cfg.scene, [plugins.get("objects").get(target)])
-    robot, generator = plugins.get("robot"), plugins.get("grasp_generator")
-    task = to_dataclass(cfg.task)
-    tasks = []
-    for world in range(settings.worlds):
-        simulator = plugins.fresh("simulator")
-        simulator.load(robot.description, scene)
-        world_seed = seed + world
-        tasks.append(GraspTask(simulator, robot, generator, [target], masks=masks, settings=task, seed=world_seed))
-    encoder = PictureEncoder(plugins.get("feature_extractor")) if settings.visual else None
-    starts, threads = settings.starts, settings.threads
-    return GraspEnv(tasks, pool_size=starts, threads=threads, encoder=encoder, seed=seed)
+def _load_heads(run: Run) -> bool:
+    if not _heads(run).exists():
+        return False
+    run.plugins.get("segmenter").load(_heads(run))
+    return True

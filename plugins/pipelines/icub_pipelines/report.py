@@ -1,16 +1,18 @@
-"""What stays after a run: metrics.json, and report.html in one self-contained file."""
+"""report.html: what a run measured, in one self-contained file."""
 
 from __future__ import annotations
 
 import base64
 import html
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from icub_core.evaluation.results import machine, versions
+import yaml
+
 from icub_core.files import write_text_atomically
+from icub_core.hooks import listen
+from icub_core.run import Run
 
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #1c2430 }
@@ -21,15 +23,15 @@ pre { background: #f4f6f8; padding: .8rem; overflow-x: auto } h2 { margin-top: 2
 _MEDIA = {".png": "image/png", ".jpg": "image/jpeg", ".gif": "image/gif"}
 
 
-def write_metrics(run_dir: Path, metrics: Mapping[str, float | int | str | bool]) -> None:
-    """Write the flat table of a run's figures."""
-    write_text_atomically(run_dir / "metrics.json", json.dumps(dict(metrics), indent=2) + "\n")
+class Report:
+    """Listens to a run and writes report.html when it ended well."""
 
-
-def write_provenance(run_dir: Path, seed: int, command: str) -> None:
-    """Write what is needed to repeat a run: command, seed, library versions, machine."""
-    content = {"command": command, "seed": seed, "versions": versions(), "machine": machine()}
-    write_text_atomically(run_dir / "provenance.json", json.dumps(content, indent=2) + "\n")
+    @listen
+    def icub_run_end(self, run: Run, run_dir: Path, error: BaseException | None) -> None:
+        """Write the report."""
+        if error is None:
+            configuration = yaml.safe_dump(dict(run.config), sort_keys=False)
+            write_report(run_dir, "icub run", run.metrics, run.seconds, run.images, run.notes, configuration)
 
 
 def write_report(
@@ -37,7 +39,7 @@ def write_report(
     title: str,
     metrics: Mapping[str, Any],
     stages: Mapping[str, float],
-    pictures: Sequence[tuple[str, Path]],
+    images: Sequence[tuple[str, Path]],
     notes: Sequence[str],
     configuration: str,
 ) -> None:
@@ -56,7 +58,7 @@ def write_report(
     parts += [f"<p>{html.escape(note)}</p>" for note in notes]
     parts.append("<h2>Figures</h2>" + _table(metrics))
     parts.append("<h2>Stages, seconds</h2>" + _table(stages))
-    for caption, path in pictures:
+    for caption, path in images:
         if path.exists():
             encoded = base64.b64encode(path.read_bytes()).decode()
             parts.append(f"<h2>{html.escape(caption)}</h2><img src='data:{_MEDIA[path.suffix]};base64,{encoded}'>")

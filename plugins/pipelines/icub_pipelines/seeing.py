@@ -1,4 +1,4 @@
-"""The stages teach, learn and see: a segmenter is taught by showing and examined on the table."""
+"""The stages teach, learn and see: a segmenter is taught, and evaluated on cluttered tables."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core import registry
 from icub_core.appearance import random_lights, random_surface
+from icub_core.construct import build
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import DataError
 from icub_core.evaluation.detection import evaluate_instances
@@ -16,21 +16,21 @@ from icub_core.interfaces.object_set import ObjectSet
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.interfaces.simulator import Simulator
 from icub_core.robot_description import RobotDescription
+from icub_core.run import Run
 from icub_core.scene import ObjectSpec, Scene, Table
-from icub_pipelines.context import RunContext
-from icub_pipelines.images import Image, contact_sheet, draw_instances, save_picture
+from icub_pipelines.images import Image, contact_sheet, draw_instances, save_image
 from icub_pipelines.settings import SeeSettings
+from icub_pipelines.stream import StreamTeacher
 from icub_pipelines.tabletop import Tabletop, tabletop_pictures
 from icub_pipelines.teacher import Showing, annotate, show
 
 SHEET_COLUMNS = 4
-DISTRACTORS_SET = "random1000"
 DISTRACTOR_SIZE = (0.08, 0.2)
 """Smallest and largest extent to which distractors are scaled, meters: sizes alone must not give the targets away."""
 
 
 def teach(
-    context: RunContext,
+    run: Run,
     simulator: Simulator,
     robot: RobotDescription,
     specs: Sequence[ObjectSpec],
@@ -38,19 +38,19 @@ def teach(
     frames: int,
 ) -> None:
     """Show every object to the robot; features are extracted as the frames arrive, nothing is trained yet."""
-    rng = context.rng("teach")
+    rng = run.rng("teach")
     samples: list[Image] = []
     annotated = 0
     for number, spec in enumerate(specs):
 
         def tell(share: float, text: str, number: int = number) -> None:
-            context.progress((number + share) / len(specs), text)
+            run.progress((number + share) / len(specs), text)
 
         seen, sample = teach_object(simulator, robot, spec, segmenter, frames, rng, tell)
         annotated += seen
         samples.append(sample)
-    context.record({"teach.objects": len(specs), "teach.frames": annotated})
-    save_sheet(context, "Taught: masks from depth", "taught.png", samples)
+    run.record({"teach.objects": len(specs), "teach.frames": annotated})
+    save_sheet(run, "Taught: masks from depth", "taught.png", samples)
 
 
 def teach_object(
@@ -84,26 +84,29 @@ def teach_object(
     simulator.load(robot, scene)
     simulator.reset()
     seen, sample = 0, None
-    for frame, instance in annotate(show(simulator, spec.name, Showing(frames=frames), rng), spec.name):
-        segmenter.observe(frame, (instance,))
-        seen += 1
-        progress(min(seen / frames, 1.0), f"{spec.name}, {seen} frames")
-        if sample is None or seen == frames // 2:
-            sample = draw_instances(frame.rgb, (instance,))
+    shown = show(simulator, spec.name, Showing(frames=frames), rng, robot.camera().name)
+    with StreamTeacher(segmenter) as teacher:  # the next image is taken while features are extracted
+        for frame, instance in annotate(shown, spec.name):
+            teacher.push(frame, (instance,))
+            seen += 1
+            progress(min(seen / frames, 1.0), f"{spec.name}, {seen} frames")
+            if sample is None or seen == frames // 2:
+                sample = draw_instances(frame.rgb, (instance,))
+        teacher.drain()
     if sample is None:
         raise DataError(f"no frame of '{spec.name}' gave a mask that agrees with its neighbors; show it more slowly")
     return seen, sample
 
 
-def learn(context: RunContext, segmenter: Segmenter) -> None:
+def learn(run: Run, segmenter: Segmenter) -> None:
     """Train the heads on what was observed."""
     report = segmenter.update()
-    context.record({"segmentation.train_seconds": report.seconds})
-    context.record({f"segmentation.train_{part}_seconds": seconds for part, seconds in report.parts.items()})
+    run.record({"segmentation.train_seconds": report.seconds})
+    run.record({f"segmentation.train_{part}_seconds": seconds for part, seconds in report.parts.items()})
 
 
 def see(
-    context: RunContext,
+    run: Run,
     simulator: Simulator,
     targets: Sequence[ObjectSpec],
     distractors: Sequence[ObjectSpec],
@@ -115,24 +118,27 @@ def see(
     predictions: list[tuple[Instance, ...]] = []
     examples: list[Image] = []
     names = [spec.name for spec in targets]
-    pictures = tabletop_pictures(simulator, targets, distractors, Tabletop(frames=settings.frames), context.rng("see"))
+    pictures = tabletop_pictures(simulator, targets, distractors, Tabletop(frames=settings.frames), run.rng("see"))
     for number, (frame, present) in enumerate(pictures):
         found = segmenter.segment(frame)
         truths.append(tuple(instance for instance in present if instance.label in names))
         predictions.append(found)
         if len(examples) < 2 * SHEET_COLUMNS:
             examples.append(draw_instances(frame.rgb, confident(found)))
-        context.progress((number + 1) / settings.frames, f"{number + 1} of {settings.frames} images")
+        run.progress((number + 1) / settings.frames, f"{number + 1} of {settings.frames} images")
     metrics = evaluate_instances(truths, predictions, names)
-    context.record(metrics.as_dict("segmentation."))
-    context.record({"segmentation.test_frames": len(truths), "segmentation.test_objects": sum(map(len, truths))})
-    save_sheet(context, "Seen on the table, among distractors, in other rooms", "seen.png", examples)
+    run.record(metrics.as_dict("segmentation."))
+    run.record({"segmentation.test_frames": len(truths), "segmentation.test_objects": sum(map(len, truths))})
+    save_sheet(run, "Seen on the table, among distractors, in other rooms", "seen.png", examples)
 
 
-def distractors(objects: ObjectSet, taught: Sequence[str], count: int, rng: np.random.Generator) -> list[ObjectSpec]:
+def distractors(
+    objects: ObjectSet, taught: Sequence[str], settings: SeeSettings, rng: np.random.Generator
+) -> list[ObjectSpec]:
     """Draw objects that are never taught: half of them from the rest of the object set, the others random ones."""
+    count = settings.distractors
     rest = [objects.get(name) for name in objects.names if name not in taught][: count // 2]
-    random = registry.build("objects", DISTRACTORS_SET, size=list(DISTRACTOR_SIZE))
+    random = build("objects", settings.distractor_set, size=list(DISTRACTOR_SIZE))
     drawn = rng.choice(len(random.names), count - len(rest), replace=False)
     return rest + [random.get(random.names[i]) for i in sorted(drawn)]
 
@@ -152,9 +158,9 @@ def find_mask(segmenter: Segmenter, frame: RgbdFrame, name: str) -> NDArray[np.b
     return max(candidates, key=lambda instance: instance.score).mask if candidates else None
 
 
-def save_sheet(context: RunContext, caption: str, file_name: str, images: Sequence[Image]) -> None:
+def save_sheet(run: Run, caption: str, file_name: str, images: Sequence[Image]) -> None:
     """Write images of one size as one image into the run folder, for the report."""
     if images:
-        path = context.run_dir / file_name
-        save_picture(path, contact_sheet(images, SHEET_COLUMNS))
-        context.pictures.append((caption, path))
+        path = run.run_dir / file_name
+        save_image(path, contact_sheet(images, SHEET_COLUMNS))
+        run.images.append((caption, path))

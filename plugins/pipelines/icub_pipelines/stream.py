@@ -100,8 +100,8 @@ class StreamTeacher:
         self._waited += time.perf_counter() - arrived
         self._longest = max(self._longest, self._queue.qsize())
 
-    def finish(self) -> StreamReport:
-        """Learn from what is still in the queue and train the heads.
+    def drain(self) -> None:
+        """Extract what is still in the queue and end the stream, without training the heads.
 
         Raises:
             DataError: A frame could not be learned from (``on_error="stop"``).
@@ -110,6 +110,14 @@ class StreamTeacher:
         self._thread.join()
         self._stopped.set()
         self._raise_error()
+
+    def finish(self) -> StreamReport:
+        """Extract what is still in the queue and train the heads.
+
+        Raises:
+            DataError: A frame could not be learned from (``on_error="stop"``).
+        """
+        self.drain()
         update = self._segmenter.update()
         after = time.perf_counter() - self._last
         return StreamReport(update, after, self._frames, self._skipped, self._waited, self._longest)

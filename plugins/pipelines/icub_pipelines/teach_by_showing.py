@@ -4,160 +4,193 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any
 
 import numpy as np
-from omegaconf import DictConfig
 
-from icub_core.config.assembly import Assembly
-from icub_core.config.settings import to_dataclass
+from icub_core.bounds import at_least
 from icub_core.data import Instance
 from icub_core.errors import ConfigError
 from icub_core.evaluation.detection import evaluate_instances
+from icub_core.interfaces.pipeline import Pipeline, Stage
+from icub_core.run import Run
 from icub_core.scene import ObjectSpec
 from icub_pipelines import seeing
-from icub_pipelines.context import RunContext
 from icub_pipelines.conversation import converse
 from icub_pipelines.images import draw_instances
-from icub_pipelines.lifecycle import carry_out
-from icub_pipelines.settings import ShowingSettings, shown
+from icub_pipelines.settings import SeeSettings, taught_names
 from icub_pipelines.tabletop import Tabletop
 from icub_pipelines.teaching_session import Look, Mistake, TeachingSession, mistakes, recognized
 
-OBJECTS = 3
-"""Shown when nothing was chosen."""
-DEPENDENCIES = 3
-"""Other unknown objects that stand beside the corrected one in the images that measure the correction."""
+TAUGHT = 3
+"""Objects that are taught when nothing was chosen."""
+NEIGHBORS = 3
+"""Other unknown objects beside the corrected one in the images that measure the correction."""
 
 
-def run(cfg: DictConfig, run_dir: Path) -> dict[str, Any]:
-    """Follow the script, or the commands of whoever sits at the terminal.
+class TeachByShowing(Pipeline):
+    """Teach objects one after another, then correct a false positive by teaching it; or do so in conversation.
 
     Args:
-        cfg: Composed configuration.
-        run_dir: Where everything is written; a segmenter saved there by an interrupted run is gone on with.
-
-    Returns:
-        The flat figures of metrics.json.
-
-    Raises:
-        ConfigError: No segmenter was chosen, or an object does not exist.
+        objects: Taught in this order; what is learned of one is there before the next is shown. None teaches the
+            first three of `preferred`, or of a set that has not all of them.
+        preferred: See `objects`.
+        frames: Images of each.
+        looks: Images of the table in which false positives are sought, and as many others that measure the change.
+        distractors: Unknown objects on the table; one of them is mistaken, and then taught.
+        distractor_set: Object set that is in no training set.
+        interactive: Take commands from the terminal instead of following the script.
     """
-    settings = cast(ShowingSettings, to_dataclass(cfg.pipeline))
-    return carry_out(cfg, run_dir, lambda context: _stages(context, cfg, settings))
 
+    def __init__(
+        self,
+        objects: list[str] | None = None,
+        preferred: tuple[str, ...] = (),
+        frames: Annotated[int, at_least(1)] = 60,
+        looks: Annotated[int, at_least(1)] = 24,
+        distractors: Annotated[int, at_least(1)] = 10,
+        distractor_set: str = SeeSettings.distractor_set,
+        interactive: bool = False,
+    ) -> None:
+        self._chosen, self._preferred, self._frames, self._looks = objects, preferred, frames, looks
+        self._interactive = interactive
+        self._see = SeeSettings(distractors=distractors, distractor_set=distractor_set)
+        self._distractor: ObjectSpec | None = None
 
-def _stages(context: RunContext, cfg: DictConfig, settings: ShowingSettings) -> None:
-    plugins = Assembly(cfg)
-    if not plugins.chosen("segmenter"):
-        raise ConfigError("there is nobody to teach; choose +segmenter=falkon")
-    objects = plugins.get("objects")
-    names = shown(settings.objects, objects.names, OBJECTS)
-    taught = [objects.get(name) for name in names]
-    if not taught:
-        raise ConfigError("pipeline.objects is empty; expected at least one name of the object set")
-    unknown = seeing.distractors(objects, names, settings.distractors, context.rng("strangers"))
-    simulator = plugins.fresh("simulator")
-    session = TeachingSession(context, simulator, plugins.get("robot").description, plugins.get("segmenter"))
-    try:
-        if settings.interactive:
-            converse(session, objects, unknown, settings)
-        else:
-            _script(session, taught, unknown, settings)
-    finally:
-        simulator.close()
+    def stages(self, run: Run) -> tuple[Stage, ...]:
+        """Return teach, look, before, correct, after; or converse."""
+        if not run.plugins.chosen("segmenter"):
+            raise ConfigError("there is nobody to teach; choose +segmenter=falkon")
+        objects = run.plugins.get("objects")
+        names = taught_names(self._chosen, self._preferred, objects.names, TAUGHT)
+        self._taught = [objects.get(name) for name in names]
+        if not self._taught:
+            raise ConfigError("pipeline.objects is empty; expected at least one name of the object set")
+        # the stream keeps its first name, so that figures stay what they were
+        self._unknown = seeing.distractors(objects, names, self._see, run.rng("strangers"))
+        run.plugins.get("segmenter")
+        if self._interactive:
+            return (Stage("converse", self._converse),)
 
+        def finished(run: Run) -> bool:
+            return (run.run_dir / "done_after.json").exists()  # what stands between is kept in memory alone
 
-def _script(
-    session: TeachingSession, taught: Sequence[ObjectSpec], unknown: Sequence[ObjectSpec], settings: ShowingSettings
-) -> None:
-    context = session.context
-    if context.recall("teach"):
+        return (
+            Stage("teach", self._teach, resume=self._load),
+            Stage("look", self._look, resume=finished),
+            Stage("before", self._before, resume=finished),
+            Stage("correct", self._correct, resume=finished),
+            Stage("after", self._after),
+        )
+
+    def _session(self, run: Run) -> TeachingSession:
+        simulator = run.shared("simulator", lambda: run.plugins.fresh("simulator"))
+        return TeachingSession(run, simulator, run.plugins.get("robot").description, run.plugins.get("segmenter"))
+
+    def _load(self, run: Run) -> bool:
+        session = self._session(run)
+        if not session.heads.exists():
+            return False
         session.segmenter.load(session.heads)
-    else:
-        _teach_all(session, taught, settings)
+        return True
+
+    def _converse(self, run: Run) -> None:
+        converse(self._session(run), run.plugins.get("objects"), self._unknown, self._frames)
+
+    def _teach(self, run: Run) -> None:
+        session, rng = self._session(run), run.rng("teach")
+        taught = [
+            session.teach(spec, self._frames, rng, number, len(self._taught))
+            for number, spec in enumerate(self._taught)
+        ]
+        seeing.save_sheet(run, "Taught: masks from depth", "taught.png", [sample for _, sample, _ in taught])
+        run.record(
+            {
+                "showing.objects": len(taught),
+                "showing.teach_seconds": float(np.mean([seconds for _, _, seconds in taught])),
+                "showing.update_seconds": max(report.seconds for report, _, _ in taught),
+            }
+        )
         session.segmenter.save(session.heads)
-        context.remember("teach")
-    with context.stage("look"):
-        looks = session.look(taught, unknown, Tabletop(frames=settings.looks), context.rng("look"))
+
+    def _look(self, run: Run) -> None:
+        session = self._session(run)
+        looks = session.look(self._taught, self._unknown, Tabletop(frames=self._looks), run.rng("look"))
         wrong = [mistake for m in _all_mistakes(session.recognize(looks), looks) for mistake in m]
-    distractor = _most_mistaken(wrong, unknown)
-    if distractor is None:
-        context.note(f"no unknown object was taken for a taught one in {settings.looks} images: nothing to correct")
-        context.record({"showing.false_positives_before": 0})
-        return
-    _correct(session, taught, unknown, distractor, settings)
-    session.segmenter.save(session.heads)
+        self._distractor = _most_mistaken(wrong, self._unknown)
+        if self._distractor is None:
+            run.note(f"no unknown object was taken for a taught one in {self._looks} images: nothing to correct")
+            run.record({"showing.false_positives_before": 0})
+
+    def _before(self, run: Run) -> None:
+        """Take images that have no part in choosing what is corrected, and say what is found in them."""
+        if self._distractor is None:
+            return
+        session, name = self._session(run), self._distractor.name
+        shown = [self._distractor, *[spec for spec in self._unknown if spec.name != name][:NEIGHBORS]]
+        everyone = Tabletop(frames=self._looks, distractors=(len(shown), len(shown)))
+        self._measured = session.look(self._taught, shown, everyone, run.rng("measure"))
+        self._found_before = session.recognize(self._measured)
+
+    def _correct(self, run: Run) -> None:
+        """Teach the mistaken object."""
+        if self._distractor is None:
+            return
+        session = self._session(run)
+        self._update, self._sample, _ = session.teach(self._distractor, self._frames, run.rng("correct"))
+
+    def _after(self, run: Run) -> None:
+        if self._distractor is None:
+            return
+        session = self._session(run)
+        after = session.recognize(self._measured)
+        names = [spec.name for spec in self._taught]
+        figures = _figures(self._measured, self._found_before, after, self._distractor.name, names)
+        run.record({**figures, "showing.correct_update_seconds": self._update.seconds})
+        self._save_sheets(run, after)
+        session.segmenter.save(session.heads)
+
+    def _save_sheets(self, run: Run, after: Sequence[tuple[Instance, ...]]) -> None:
+        assert self._distractor is not None
+        looks, before, name = self._measured, self._found_before, self._distractor.name
+        mistaken = _mistakes_of(name, before, looks)
+        chosen = sorted(range(len(looks)), key=lambda n: not mistaken[n])[: seeing.SHEET_COLUMNS]
+        for caption, file, found in (("Before", "before.png", before), ("After", "after.png", after)):
+            images = [draw_instances(looks[n][0].rgb, seeing.confident(found[n])) for n in chosen]
+            seeing.save_sheet(run, f"{caption} '{name}' was taught", file, images)
+        seeing.save_sheet(run, f"The correction: '{name}' is shown", "correction.png", [self._sample])
 
 
-def _teach_all(session: TeachingSession, taught: Sequence[ObjectSpec], settings: ShowingSettings) -> None:
-    context, rng = session.context, session.context.rng("teach")
-    training_images = []
-    for number, spec in enumerate(taught):
-        with context.stage(f"teach {number + 1}"):
-            training_images.append(session.teach(spec, settings.frames, rng))
-    seeing.save_sheet(context, "Taught: masks from depth", "taught.png", [sample for _, sample, _ in training_images])
-    context.record(
-        {
-            "showing.objects": len(taught),
-            "showing.teach_seconds": float(np.mean([seconds for _, _, seconds in training_images])),
-            "showing.update_seconds": max(report.seconds for report, _, _ in training_images),
-        }
-    )
-
-
-def _correct(
-    session: TeachingSession,
-    taught: Sequence[ObjectSpec],
-    unknown: Sequence[ObjectSpec],
-    distractor: ObjectSpec,
-    settings: ShowingSettings,
-) -> None:
-    """Teach the mistaken object; measure before and after on images that had no part in choosing it."""
-    context = session.context
-    dependencies = [spec for spec in unknown if spec.name != distractor.name][:DEPENDENCIES]
-    shown = [distractor, *dependencies]
-    with context.stage("before"):
-        everyone = Tabletop(frames=settings.looks, distractors=(len(shown), len(shown)))
-        looks = session.look(taught, shown, everyone, context.rng("measure"))
-        before = session.recognize(looks)
-    with context.stage("correct"):
-        report, sample, _ = session.teach(distractor, settings.frames, context.rng("correct"))
-    with context.stage("after"):
-        after = session.recognize(looks)
-
-    def of_distractor(found: Sequence[tuple[Instance, ...]]) -> list[list[Mistake]]:
-        return [[m for m in picture if m.shown == distractor.name] for picture in _all_mistakes(found, looks)]
-
-    mistaken = of_distractor(before)
-    earlier = [m for picture in mistaken for m in picture]
-    answers = [recognized(found, truth, distractor.name) for found, (_, truth) in zip(after, looks, strict=True)]
+def _figures(
+    looks: Sequence[Look],
+    before: Sequence[tuple[Instance, ...]],
+    after: Sequence[tuple[Instance, ...]],
+    corrected: str,
+    names: Sequence[str],
+) -> dict[str, Any]:
+    """Return how often the corrected object was mistaken, and how well the others are found, before and after."""
+    earlier = [m for image in _mistakes_of(corrected, before, looks) for m in image]
+    answers = [recognized(found, truth, corrected) for found, (_, truth) in zip(after, looks, strict=True)]
     visible = [answer for answer in answers if answer is not None]
-    names = [spec.name for spec in taught]
 
     def precision(found: Sequence[tuple[Instance, ...]]) -> float:
         pairs = [(_of(names, truth), _of(names, instances)) for instances, (_, truth) in zip(found, looks, strict=True)]
         return evaluate_instances([t for t, _ in pairs], [f for _, f in pairs], names).map50_segm
 
-    context.record(
-        {
-            "showing.corrected": distractor.name,
-            "showing.taken_for": Counter(m.taken_for for m in earlier).most_common(1)[0][0] if earlier else "",
-            "showing.looks_with_corrected": len(visible),
-            "showing.false_positives_before": len(earlier),
-            "showing.false_positives_after": sum(map(len, of_distractor(after))),
-            "showing.corrected_recall": float(np.mean(visible)) if visible else 0.0,
-            "showing.correct_update_seconds": report.seconds,
-            "showing.map50_segm_before": precision(before),
-            "showing.map50_segm_after": precision(after),
-        }
-    )
-    chosen = sorted(range(len(looks)), key=lambda n: not mistaken[n])[: seeing.SHEET_COLUMNS]
-    for caption, name, found in (("Before", "before.png", before), ("After", "after.png", after)):
-        pictures = [draw_instances(looks[n][0].rgb, seeing.confident(found[n])) for n in chosen]
-        seeing.save_sheet(context, f"{caption} '{distractor.name}' was taught", name, pictures)
-    seeing.save_sheet(context, f"The correction: '{distractor.name}' is shown", "correction.png", [sample])
+    return {
+        "showing.corrected": corrected,
+        "showing.taken_for": Counter(m.taken_for for m in earlier).most_common(1)[0][0] if earlier else "",
+        "showing.looks_with_corrected": len(visible),
+        "showing.false_positives_before": len(earlier),
+        "showing.false_positives_after": sum(map(len, _mistakes_of(corrected, after, looks))),
+        "showing.corrected_recall": float(np.mean(visible)) if visible else 0.0,
+        "showing.map50_segm_before": precision(before),
+        "showing.map50_segm_after": precision(after),
+    }
+
+
+def _mistakes_of(name: str, found: Sequence[tuple[Instance, ...]], looks: Sequence[Look]) -> list[list[Mistake]]:
+    return [[m for m in image if m.shown == name] for image in _all_mistakes(found, looks)]
 
 
 def _of(names: Sequence[str], instances: Sequence[Instance]) -> tuple[Instance, ...]:

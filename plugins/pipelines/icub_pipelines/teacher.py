@@ -50,7 +50,7 @@ def _smooth_path(rng: np.random.Generator, frames: int) -> NDArray[np.float64]:
 
 
 def show(
-    simulator: Simulator, name: str, showing: Showing, rng: np.random.Generator, camera: str = "head_cam"
+    simulator: Simulator, name: str, showing: Showing, rng: np.random.Generator, camera: str
 ) -> Iterator[RgbdFrame]:
     """Move object `name` about in front of the head and yield what the camera sees.
 

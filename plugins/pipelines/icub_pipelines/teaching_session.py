@@ -1,4 +1,4 @@
-"""A robot that learns objects one after another, and what it then makes of a table it looks at."""
+"""Incremental teaching of a segmenter, and its evaluation on cluttered tables."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from icub_core.evaluation.overlap import mask_iou
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 from icub_core.interfaces.simulator import Simulator
 from icub_core.robot_description import RobotDescription
+from icub_core.run import Run
 from icub_core.scene import ObjectSpec
 from icub_pipelines import seeing
-from icub_pipelines.context import RunContext
 from icub_pipelines.images import Image
 from icub_pipelines.tabletop import Tabletop, tabletop_pictures
 
@@ -38,9 +38,9 @@ class Mistake:
 
 @dataclass
 class TeachingSession:
-    """Who takes part: the simulator draws, the robot looks on, the segmenter learns."""
+    """A simulator that draws, a robot whose camera sees, and a segmenter that learns."""
 
-    context: RunContext
+    run: Run
     simulator: Simulator
     robot: RobotDescription
     segmenter: Segmenter
@@ -48,10 +48,12 @@ class TeachingSession:
     @property
     def heads(self) -> Path:
         """Folder of the run in which what was learned is kept."""
-        return self.context.run_dir / "segmenter"
+        return self.run.run_dir / "segmenter"
 
-    def teach(self, spec: ObjectSpec, frames: int, rng: np.random.Generator) -> tuple[UpdateReport, Image, float]:
-        """Show one object and learn it at once.
+    def teach(
+        self, spec: ObjectSpec, frames: int, rng: np.random.Generator, number: int = 0, count: int = 1
+    ) -> tuple[UpdateReport, Image, float]:
+        """Show one object, the `number`-th of `count`, and learn it at once.
 
         Returns:
             The report of the update, a image with the mask that was learned from, and seconds in all.
@@ -59,7 +61,7 @@ class TeachingSession:
         started = time.perf_counter()
         _, sample = seeing.teach_object(
             self.simulator, self.robot, spec, self.segmenter, frames, rng,
-            lambda share, text: self.context.progress(0.95 * share, text),
+            lambda share, text: self.run.progress((number + 0.95 * share) / count, text),
         )  # fmt: skip
         report = self.segmenter.update()
         return report, sample, time.perf_counter() - started
@@ -71,7 +73,7 @@ class TeachingSession:
         looks = []
         for number, picture in enumerate(tabletop_pictures(self.simulator, known, unknown, tabletop, rng)):
             looks.append(picture)
-            self.context.progress((number + 1) / tabletop.frames, f"{number + 1} of {tabletop.frames} images")
+            self.run.progress((number + 1) / tabletop.frames, f"{number + 1} of {tabletop.frames} images")
         return looks
 
     def recognize(self, looks: Sequence[Look]) -> list[tuple[Instance, ...]]:
@@ -79,7 +81,7 @@ class TeachingSession:
         found = []
         for number, (frame, _) in enumerate(looks):
             found.append(self.segmenter.segment(frame))
-            self.context.progress((number + 1) / len(looks), f"{number + 1} of {len(looks)} images recognized")
+            self.run.progress((number + 1) / len(looks), f"{number + 1} of {len(looks)} images recognized")
         return found
 
 

@@ -67,7 +67,7 @@ def adam_state(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, torch
 
 
 def load_adam_state(optimizer: torch.optim.Optimizer, tensors: dict[str, torch.Tensor], prefix: str) -> None:
-    """Take back what `adam_state` returned."""
+    """Restore what `adam_state` returned."""
     state = optimizer.state_dict()
     state["state"] = {}
     for key, value in tensors.items():

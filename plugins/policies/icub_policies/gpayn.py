@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
+from typing import Annotated
 
 import torch
 from tensordict import TensorDictBase
 
-from icub_core.errors import ConfigError
+from icub_core.bounds import above, at_least
+from icub_core.errors import CheckpointError, ConfigError
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
+from icub_core.interfaces.task import Task
 from icub_policies.checkpoint import read_tensors, write_tensors
 from icub_policies.demonstrations import Demonstrations
-from icub_policies.features import PROPRIOCEPTIVE_SIZE, features
+from icub_policies.inputs import Inputs, with_images
+from icub_policies.learner import REPLAY_STEPS, for_weights, memory, seeing, states_of
 from icub_policies.sac import Sac, SacSettings
 from icub_policies.training import Trainer, TrainingSettings, demonstrate
-from icub_policies.visual import REPLAY_STEPS, for_weights, memory, seeing
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.spaces import ACTION_SIZE
 
 SHIPPED = ("base_gpayn",)
 DEMONSTRATION_STEPS = 300_000
@@ -63,11 +65,11 @@ class Gpayn(Policy):
     def __init__(
         self,
         weights: str | None = None,
-        seconds: float | None = 120.0,
-        env_steps: int | None = None,
-        demonstrations: int = 100,
-        updates_per_step: float = 0.25,
-        hidden: int = 128,
+        seconds: Annotated[float | None, above(0)] = 120.0,
+        env_steps: Annotated[int | None, at_least(1)] = None,
+        demonstrations: Annotated[int, at_least(1)] = 100,
+        updates_per_step: Annotated[float, above(0)] = 0.25,
+        hidden: Annotated[int, at_least(1)] = 128,
         seed: int = 0,
     ) -> None:
         self.settings = TrainingSettings(
@@ -81,43 +83,74 @@ class Gpayn(Policy):
         )
         self.exports: Path | None = None
         self._episodes = demonstrations
-        self.sac = Sac(PROPRIOCEPTIVE_SIZE, ACTION_SIZE, SacSettings(hidden=hidden), seed=seed)
+        self._sac_settings, self._seed = SacSettings(hidden=hidden), seed
+        self._learner: tuple[Sac, Inputs] | None = None
         if weights is not None:
             self.load(weights_path(weights))
 
-    def act(self, observation: TensorDictBase) -> torch.Tensor:
-        """Return the most likely actions (B, 15)."""
-        with torch.no_grad():
-            return self.sac.actor.best(features(observation, self.sac.states))
+    @property
+    def sac(self) -> Sac:
+        """The learner; ConfigError before its sizes are known from weights or from a task."""
+        return self._ready()[0]
 
-    def learn(self, env: GraspEnv, run_dir: Path, progress: Progress) -> LearnReport:
+    def _ready(self) -> tuple[Sac, Inputs]:
+        if self._learner is None:
+            raise ConfigError("the policy 'gpayn' has neither weights nor a task; call policy.bind(task) first")
+        return self._learner
+
+    def bind(self, task: Task) -> None:
+        """Take sizes from the task, or check that the weights fit it."""
+        actions = task.action_spec.shape[-1]
+        if self._learner is None:
+            inputs = with_images(Inputs.of(task), 0)
+            self._learner = Sac(inputs.size, actions, self._sac_settings, seed=self._seed), inputs
+        self._learner[1].check(task, self._learner[0].actions)
+
+    def act(self, observation: TensorDictBase) -> torch.Tensor:
+        """Return the most likely actions (B, a)."""
+        sac, inputs = self._ready()
+        with torch.no_grad():
+            return sac.actor.best(inputs(observation))
+
+    def learn(
+        self,
+        task: Task,
+        run_dir: Path | None = None,
+        progress: Progress | None = None,
+        *,
+        seconds: float | None = None,
+    ) -> LearnReport:
         """Collect demonstrations, then learn; an interrupted run in the same folder continues."""
-        self.sac = seeing(self.sac, env)
-        shown = memory(env, self.sac.states, DEMONSTRATION_STEPS)
-        replay = memory(env, self.sac.states, REPLAY_STEPS)
+        self.bind(task)
+        sac, inputs = self._learner = seeing(*self._ready(), task)
+        settings = self.settings if seconds is None else replace(self.settings, seconds=seconds)
+        shown = memory(task, inputs, DEMONSTRATION_STEPS)
+        replay = memory(task, inputs, REPLAY_STEPS)
         trainer = Trainer(
-            env, self.sac, replay, self, self.settings, run_dir,
+            task, sac, inputs, replay, self, settings, run_dir,
             exports=self.exports, demonstrations=shown, progress=progress,
         )  # fmt: skip
         if not trainer.resume():
-            demonstrate(env, Demonstrations(), shown, self._episodes, progress)
+            demonstrate(task, Demonstrations(), inputs, shown, self._episodes, progress)
         return trainer.run()
-
-    @classmethod
-    def train(
-        cls, run_dir: Path, seed: int, minutes: float = 45.0, progress: Progress = lambda share, text: None
-    ) -> None:
-        """Make the shipped base policy (``icub train policy=gpayn``): see `pretraining`."""
-        from icub_policies.pretraining import pretrain
-
-        pretrain(run_dir, seed, minutes, progress)
 
     def save(self, path: Path) -> None:
         """Write actor and critics."""
-        write_tensors(path, self.sac.weights(), {"policy": "gpayn"})
+        sac, inputs = self._ready()
+        write_tensors(path, sac.weights(), {"policy": "gpayn", "inputs": inputs.header()})
 
     def load(self, path: Path) -> None:
         """Read what `save` wrote."""
-        tensors, _ = read_tensors(path)
-        self.sac = for_weights(self.sac, tensors, path)
-        self.sac.load_weights(tensors, path)
+        tensors, header = read_tensors(path)
+        inputs, actions = Inputs.read(header), actions_of(tensors, path)
+        states = states_of(tensors, actions, path)
+        sac, inputs = for_weights(Sac(states, actions, self._sac_settings, seed=self._seed), inputs, tensors, path)
+        sac.load_weights(tensors, path)
+        self._learner = sac, inputs
+
+
+def actions_of(tensors: dict[str, torch.Tensor], path: Path) -> int:
+    """Return how many actions a stored actor has; CheckpointError for a file without one."""
+    if "actor.mean.bias" not in tensors:
+        raise CheckpointError(f"{path} holds no policy; expected a file written by gpayn or resprect")
+    return len(tensors["actor.mean.bias"])

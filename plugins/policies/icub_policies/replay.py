@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import torch
 
-from icub_policies.features import STACK
-from icub_tasks.grasping.visual import HISTORY, flare
+from icub_core.flare import HISTORY, flare
+from icub_policies.inputs import STACK
 
 RUNNING, TERMINAL, CUT = 0, 1, 2
 """How a stored step went on: normally; into a terminal state; or not to be learned from (a truncation or a fault), then
@@ -130,8 +130,8 @@ class Replay:
             return now
         older = self._before(times, worlds)
         oldest = self._before(older, worlds)
-        pictures = [self.state[t % self._rows, worlds, -self._visual :] for t in (oldest, older, times)]
-        return torch.cat([now[:, : -self._visual], flare(torch.stack(pictures, dim=1))], dim=1)
+        images = [self.state[t % self._rows, worlds, -self._visual :] for t in (oldest, older, times)]
+        return torch.cat([now[:, : -self._visual], flare(torch.stack(images, dim=1))], dim=1)
 
     def _before(self, times: torch.Tensor, worlds: torch.Tensor) -> torch.Tensor:
         """Return the step before each within its episode; an episode's first step is its own."""

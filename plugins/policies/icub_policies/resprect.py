@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 import torch
 from tensordict import TensorDictBase
 
+from icub_core.bounds import above, at_least
 from icub_core.errors import CheckpointError
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
+from icub_core.interfaces.task import Task
 from icub_policies.checkpoint import load_into, read_tensors, write_tensors
-from icub_policies.features import features
-from icub_policies.gpayn import weights_path
+from icub_policies.gpayn import actions_of, weights_path
+from icub_policies.inputs import Inputs
+from icub_policies.learner import REPLAY_STEPS, for_weights, memory, seeing, states_of
 from icub_policies.networks import Actor
 from icub_policies.sac import Sac, SacSettings
 from icub_policies.training import Trainer, TrainingSettings
-from icub_policies.visual import REPLAY_STEPS, for_weights, memory, seeing
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.spaces import ACTION_SIZE
 
 ENTROPY_COEFFICIENT = 0.01
 """Where the coefficient starts, in units of the task's reward (thesis table 13.1)."""
@@ -55,23 +57,25 @@ class Resprect(Policy):
     def __init__(
         self,
         base: str = "base_gpayn",
-        seconds: float | None = 120.0,
-        env_steps: int | None = None,
-        updates_per_step: float = 0.5,
-        warm_up_steps: int = 5_000,
+        seconds: Annotated[float | None, above(0)] = 120.0,
+        env_steps: Annotated[int | None, at_least(1)] = None,
+        updates_per_step: Annotated[float, above(0)] = 0.5,
+        warm_up_steps: Annotated[int, at_least(0)] = 5_000,
         seed: int = 0,
     ) -> None:
         path = weights_path(base)
-        tensors, _ = read_tensors(path)
-        try:
-            hidden, inputs = tensors["actor.layer1.weight"].shape
-        except KeyError:
-            raise CheckpointError(f"{path} holds no base policy; expected a file written by gpayn") from None
-        self.base = Actor(inputs, ACTION_SIZE, hidden).requires_grad_(False)
+        tensors, header = read_tensors(path)
+        if "actor.layer1.weight" not in tensors:
+            raise CheckpointError(f"{path} holds no base policy; expected a file written by gpayn")
+        hidden, inputs = tensors["actor.layer1.weight"].shape
+        actions = actions_of(tensors, path)
+        self.base = Actor(inputs, actions, hidden).requires_grad_(False)
         load_into(self.base, tensors, "actor.", path)
         scale = SacSettings().reward_scale
         settings = SacSettings(hidden=hidden, alpha=ENTROPY_COEFFICIENT * scale, learning_rate=1e-4, caution=CAUTION)
-        self.sac = Sac(inputs, ACTION_SIZE, settings, residual=True, seed=seed)
+        states = states_of(tensors, actions, path)
+        sac = Sac(states, actions, settings, residual=True, seed=seed)
+        self.sac, self.inputs = for_weights(sac, Inputs.read(header), tensors, path)
         self.sac.load_critics(tensors, path)
         self.settings = TrainingSettings(
             seconds=seconds,
@@ -82,36 +86,51 @@ class Resprect(Policy):
             evaluate_every=10_000,
         )
 
+    def bind(self, task: Task) -> None:
+        """Check that the base policy's weights fit the task."""
+        self.inputs.check(task, self.sac.actions)
+
     def act(self, observation: TensorDictBase) -> torch.Tensor:
-        """Return the base policy's action plus the most likely residual (B, 15), clipped to [-1, 1]."""
+        """Return the base policy's action plus the most likely residual (B, a), clipped to [-1, 1]."""
         with torch.no_grad():
-            state = features(observation, self.sac.states)
+            state = self.inputs(observation)
             base = self._base_action(state)
             return self.sac.total(self.sac.actor.best(self.sac.actor_input(state, base)), base)
 
-    def learn(self, env: GraspEnv, run_dir: Path, progress: Progress) -> LearnReport:
-        """Learn the residual for the objects of `env`; an interrupted run in the same folder continues."""
-        self.sac = seeing(self.sac, env)
-        replay = memory(env, self.sac.states, REPLAY_STEPS, base=True)
+    def learn(
+        self,
+        task: Task,
+        run_dir: Path | None = None,
+        progress: Progress | None = None,
+        *,
+        seconds: float | None = None,
+    ) -> LearnReport:
+        """Learn the residual for the objects of `task`; an interrupted run in the same folder continues."""
+        self.bind(task)
+        self.sac, self.inputs = seeing(self.sac, self.inputs, task)
+        settings = self.settings if seconds is None else replace(self.settings, seconds=seconds)
+        replay = memory(task, self.inputs, REPLAY_STEPS, base=True)
         trainer = Trainer(
-            env, self.sac, replay, self, self.settings, run_dir, base=self._base_action, progress=progress
+            task, self.sac, self.inputs, replay, self, settings, run_dir, base=self._base_action, progress=progress
         )  # fmt: skip
         trainer.resume()
         return trainer.run()
 
     def _base_action(self, state: torch.Tensor) -> torch.Tensor:
         with torch.no_grad():
-            # a base policy that never saw a image is not shown one
+            # a base policy that never saw an image is not shown one
             return self.base.best(state[:, : self.base.layer1.in_features])
 
     def save(self, path: Path) -> None:
         """Write the base policy and what was learned."""
         base = {f"base.{name}": value for name, value in self.base.state_dict().items()}
-        write_tensors(path, {**base, **self.sac.weights()}, {"policy": "resprect"})
+        header = {"policy": "resprect", "inputs": self.inputs.header()}
+        write_tensors(path, {**base, **self.sac.weights()}, header)
 
     def load(self, path: Path) -> None:
         """Read what `save` wrote."""
-        tensors, _ = read_tensors(path)
-        self.sac = for_weights(self.sac, tensors, path)
+        tensors, header = read_tensors(path)
+        sac, inputs = for_weights(self.sac, Inputs.read(header), tensors, path)
         load_into(self.base, tensors, "base.", path)
-        self.sac.load_weights(tensors, path)
+        sac.load_weights(tensors, path)
+        self.sac, self.inputs = sac, inputs

@@ -29,7 +29,7 @@ class SacSettings:
         learning_rate: Of actor and entropy coefficient (thesis 3e-4).
         critic_learning_rate: Of the critics (thesis 3e-4).
         batch: Transitions in an update.
-        target_entropy: Nats.
+        target_entropy: Nats; None is minus the number of actions (thesis: -15 for 15).
         alpha: Entropy coefficient at the start.
         actor_every: Critic updates between two actor updates.
         reward_scale: Rewards are multiplied by it.
@@ -45,7 +45,7 @@ class SacSettings:
     learning_rate: float = 3e-4
     critic_learning_rate: float = 1e-3
     batch: int = 256
-    target_entropy: float = -15.0
+    target_entropy: float | None = None
     alpha: float = 0.002
     actor_every: int = 2
     reward_scale: float = 0.05
@@ -93,8 +93,9 @@ class Sac:
         self.targets = copy.deepcopy(self.critics).requires_grad_(False)
         self.log_alpha = torch.tensor(settings.alpha).log().requires_grad_()
         self.generator = torch.Generator().manual_seed(seed)
-        self.settings, self.residual, self._actions = settings, residual, actions
+        self.settings, self.residual, self.actions = settings, residual, actions
         self.states, self.seed = states, seed
+        self.target_entropy = -float(actions) if settings.target_entropy is None else settings.target_entropy
         rate, critic_rate = settings.learning_rate, settings.critic_learning_rate
         self.actor_optimizer = torch.optim.Adam(self.actor.parameters(), lr=rate, fused=True)
         self.critic_optimizer = torch.optim.Adam(self.critics.parameters(), lr=critic_rate, fused=True)
@@ -107,13 +108,17 @@ class Sac:
         Weights of new entries start at 0: what they say counts once something was learned from them. `path` is named
         if the learner cannot be widened.
         """
-        wider = Sac(states, self._actions, self.settings, self.residual, self.seed)
+        wider = Sac(states, self.actions, self.settings, self.residual, self.seed)
         wider.load_weights(widened_weights(self.weights(), self.states, states), path)
         return wider
 
+    def resized(self, states: int) -> Sac:
+        """Return a fresh learner that sees `states` entries."""
+        return Sac(states, self.actions, self.settings, self.residual, self.seed)
+
     def noise(self, count: int) -> torch.Tensor:
         """Draw (count, a) standard normal numbers from the learner's own stream."""
-        return torch.randn(count, self._actions, generator=self.generator)
+        return torch.randn(count, self.actions, generator=self.generator)
 
     def actor_input(self, state: torch.Tensor, base: torch.Tensor) -> torch.Tensor:
         """Return what the actor sees: the state, and for a residual the base policy's action."""
@@ -146,7 +151,7 @@ class Sac:
 
     def alpha_loss(self, log_prob: torch.Tensor) -> torch.Tensor:
         """-log alpha (log pi + target entropy), averaged."""
-        return -(self.log_alpha * (log_prob + self.settings.target_entropy)).mean()
+        return -(self.log_alpha * (log_prob + self.target_entropy)).mean()
 
     def imitation_loss(self, state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         """Mean squared distance of the most likely action from a demonstrated one."""
@@ -206,7 +211,7 @@ class Sac:
         load_into(self.critics, tensors, "critics.", path)
         load_into(self.targets, tensors, "targets.", path)
 
-    def state(self) -> dict[str, torch.Tensor]:
+    def state_dict(self) -> dict[str, torch.Tensor]:
         """Return everything that decides later updates."""
         return {
             **self.weights(),
@@ -218,8 +223,8 @@ class Sac:
             "updates": torch.tensor(self.updates),
         }
 
-    def restore(self, tensors: dict[str, torch.Tensor], path: Path) -> None:
-        """Take back what `state` returned."""
+    def load_state_dict(self, tensors: dict[str, torch.Tensor], path: Path) -> None:
+        """Restore what `state_dict` returned."""
         self.load_weights(tensors, path)
         load_adam_state(self.actor_optimizer, tensors, "adam.actor.")
         load_adam_state(self.critic_optimizer, tensors, "adam.critics.")

@@ -16,18 +16,17 @@ from tensordict import TensorDictBase
 
 from icub_core.errors import CheckpointError
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
+from icub_core.interfaces.task import Start, Task
+from icub_core.rollouts import run_episodes
 from icub_policies.checkpoint import read_tensors, write_tensors
-from icub_policies.features import features
+from icub_policies.inputs import Inputs
 from icub_policies.replay import CUT, RUNNING, TERMINAL, Batch, Replay, concatenate
 from icub_policies.sac import Sac
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.evaluation import run_episodes
-from icub_tasks.grasping.pool import StartPool
-from icub_tasks.grasping.task import StartState
 
 log = logging.getLogger(__name__)
 
 CHECKPOINT = "training.safetensors"
+CHECKPOINT_VERSION = 2
 RECENT_EPISODES = 100
 IMITATION_LEARNING_RATE = 1e-3
 EVALUATION_SEED = 987_654_321
@@ -77,6 +76,7 @@ class _Count:
     env_steps: int = 0
     updates_owed: float = 0.0
     episodes: int = 0
+    faults: int = 0
     seconds: float = 0.0
     next_evaluation: int = 0
     best_success: float = -1.0
@@ -88,15 +88,16 @@ class _Count:
 
 
 class Trainer:
-    """Trains a `Sac` in a `GraspEnv`.
+    """Trains a `Sac` in a task.
 
     Args:
-        env: Worlds to learn in.
+        task: Worlds to learn in.
         sac: Learner.
+        inputs: What it sees of an observation.
         replay: Memory of what the learner did.
         policy: Acts deterministically with the learner's present weights; evaluated now and then.
         settings: Numbers.
-        run_dir: Where the checkpoint lies; an unfinished one there is continued.
+        run_dir: Where the checkpoint lies; an unfinished one there is continued. None keeps none.
         exports: Where the policy is saved whenever an evaluation is the best so far.
         demonstrations: Kept for ever beside the replay, or None.
         base: Frozen policy's action (N, a) of network inputs (N, d), for residuals.
@@ -105,28 +106,29 @@ class Trainer:
 
     def __init__(
         self,
-        env: GraspEnv,
+        task: Task,
         sac: Sac,
+        inputs: Inputs,
         replay: Replay,
         policy: Policy,
         settings: TrainingSettings,
-        run_dir: Path,
+        run_dir: Path | None,
         *,
         exports: Path | None = None,
         demonstrations: Replay | None = None,
         base: Callable[[torch.Tensor], torch.Tensor] | None = None,
         progress: Progress | None = None,
     ) -> None:
-        self._env, self._sac, self._replay, self._policy = env, sac, replay, policy
-        self._settings, self._path = settings, run_dir / CHECKPOINT
+        self._task, self._sac, self._inputs, self._replay, self._policy = task, sac, inputs, replay, policy
+        self._settings, self._path = settings, run_dir / CHECKPOINT if run_dir is not None else None
         self._exports, self._demonstrations, self._base = exports, demonstrations, base
         self._progress = progress or (lambda share, text: None)
         self._count = _Count()
         self._best = {name: value.clone() for name, value in sac.weights().items()}
         self._generator = torch.Generator().manual_seed(sac.generator.initial_seed() + 1)
-        self._evaluation_starts: list[list[StartState]] = []
+        self._evaluation_starts: list[list[Start]] = []
         self._resumed = False
-        self._noise = sac.noise(len(env.batch))
+        self._noise = sac.noise(task.batch_size[0])
         self._shown = 0 if demonstrations is None else round(settings.demonstration_share * sac.settings.batch)
 
     def run(self) -> LearnReport:
@@ -136,14 +138,14 @@ class Trainer:
         torch.set_float32_matmul_precision("medium")  # oneDNN instead of MKL: faster on many CPUs, the same error there
         try:
             if self._resumed:
-                kept = self._env.batch.state()
+                kept = self._task.state_dict()
                 self._plan_evaluation()
-                self._env.batch.restore(kept)
-                observation = self._env.observe()
+                self._task.load_state_dict(kept)
+                observation = self._task.observe()
             else:
                 self._plan_evaluation()
                 self._warm_up()
-                observation = self._env.reset()
+                observation = self._task.reset()
             saved = time.monotonic()
             while not self._finished():
                 if self._count.env_steps >= self._count.next_evaluation:
@@ -158,11 +160,12 @@ class Trainer:
             self._evaluate()
         except KeyboardInterrupt:
             self._save()
-            log.info("interrupted; the same command with the same run folder continues from %s", self._path)
+            if self._path is not None:
+                log.info("interrupted; the same command with the same run folder continues from %s", self._path)
             raise
         finally:
             torch.set_float32_matmul_precision(before)
-        self._sac.load_weights(self._best, self._path)
+        self._sac.load_weights(self._best, self._path or Path(CHECKPOINT))
         self._save(finished=True)
         count = self._count
         count.seconds = spent + time.monotonic() - begun
@@ -176,14 +179,12 @@ class Trainer:
                 "first_success": count.first_success,
                 "last_success": count.last_success,
                 "best_env_steps": float(count.best_env_steps),
-                **self._fault_share(),
+                **self._faults(),
             },
         )
 
-    def _fault_share(self) -> dict[str, float]:
-        ends = self._env.batch.fault_filter.report()
-        ordinary = sum(ends.get(name, 0) for name in ("success", "moved", "time_limit"))
-        return {"faults": float(sum(ends.values()) - ordinary)}
+    def _faults(self) -> dict[str, float]:
+        return {"faults": float(self._count.faults)}
 
     def _finished(self) -> bool:
         settings, count = self._settings, self._count
@@ -202,23 +203,24 @@ class Trainer:
 
     def _step(self, observation: TensorDictBase) -> TensorDictBase:
         """Act once in every world, store what may be stored, begin new episodes."""
-        sac, env, count = self._sac, self._env, self._count
-        state = features(observation)
+        sac, task, count = self._sac, self._task, self._count
+        state = self._inputs(observation)
         base = self._base(state) if self._base is not None else state[:, :0]
         keep = self._settings.noise_memory
         self._noise = keep * self._noise + (1 - keep * keep) ** 0.5 * sac.noise(len(state))
         learned = sac.explore(state, base, self._noise)
         observation["action"] = sac.total(learned, base)
-        after = env.advance(observation)
+        after = task.advance(observation)
         self._replay.add(state, learned, after["reward"][:, 0], end_codes(after), base)
         done = after["done"][:, 0]
         if done.any():
             for world in torch.nonzero(done)[:, 0].tolist():
                 count.recent.append(bool(after["success"][world]))
                 count.episodes += 1
-                env.begin(world, env.pools[world].draw())
+                count.faults += int(after["fault"][world])
+                task.begin(world, task.draw(world))
                 self._noise[world] = sac.noise(1)[0]
-            after = env.observe()
+            after = task.observe()
         count.env_steps += len(state)
         count.updates_owed += self._settings.updates_per_step * len(state)
         return after
@@ -264,27 +266,24 @@ class Trainer:
 
     def _plan_evaluation(self) -> None:
         """Plan the starts of the training-time evaluations, once."""
-        worlds = len(self._env.batch)
+        worlds = self._task.batch_size[0]
         each = -(-self._settings.evaluation_episodes // worlds)
-        for world, task in enumerate(self._env.batch.tasks):
-            pool = StartPool(task, each, seed=EVALUATION_SEED + world)
-            pool.fill(each)
-            self._evaluation_starts.append(pool.starts)
+        for world in range(worlds):
+            rng = np.random.default_rng(EVALUATION_SEED + world)
+            self._evaluation_starts.append([self._task.draw(world, rng) for _ in range(each)])
 
     def _evaluate(self) -> None:
         count = self._count
         count.next_evaluation = count.env_steps + self._settings.evaluate_every
-        arrays, texts = self._env.save()
-        ends = self._env.batch.fault_filter.ends.copy()
-        worlds = len(self._env.batch)
+        kept = self._task.state_dict()
+        worlds = self._task.batch_size[0]
         results = run_episodes(
             self._policy,
-            self._env,
+            self._task,
             self._settings.evaluation_episodes,
             lambda world, episode: self._evaluation_starts[world][episode // worlds],
         )
-        self._env.restore(arrays, texts)
-        self._env.batch.fault_filter.ends = ends
+        self._task.load_state_dict(kept)
         score, mean_return = results.success_rate, float(results.returns.mean())
         log.info(
             "%d env steps, %d updates, %.0f s: evaluated %.3f (return %.1f, %.0f steps, %s), exploring %.3f, "
@@ -313,40 +312,46 @@ class Trainer:
         )
 
     def _save(self, finished: bool = False) -> None:
-        """Write everything that decides the future; a failure is logged, training goes on."""
-        arrays, texts = self._env.save()
-        tensors = {f"sac.{k}": v for k, v in self._sac.state().items()}
+        """Write everything that decides the future; a failure is logged, training continues."""
+        if self._path is None:
+            return
+        tensors = {f"sac.{k}": v for k, v in self._sac.state_dict().items()}
         tensors.update({f"best.{k}": v for k, v in self._best.items()})
         tensors.update({f"replay.{k}": v for k, v in self._replay.state_dict().items()})
         if self._demonstrations is not None:
             tensors.update({f"demonstrations.{k}": v for k, v in self._demonstrations.state_dict().items()})
-        tensors.update({f"env.{k}": torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()})
+        tensors.update({f"task.{k}": v for k, v in self._task.state_dict().items()})
         tensors["generator"], tensors["noise"] = self._generator.get_state(), self._noise
         count = self._count
         header = {
             "finished": finished,
-            "texts": texts,
+            "version": CHECKPOINT_VERSION,
             "count": {**{k: v for k, v in vars(count).items() if k != "recent"}, "recent": list(count.recent)},
         }
         try:
             write_tensors(self._path, tensors, header)
         except CheckpointError as error:
-            log.warning("%s; training goes on", error)
+            log.warning("%s; training continues", error)
 
     def resume(self) -> bool:
         """Continue from an unfinished checkpoint in the run folder, if there is one."""
-        if not self._path.exists():
+        if self._path is None or not self._path.exists():
             return False
         tensors, header = read_tensors(self._path)
         if header["finished"]:
             return False
+        if header.get("version") != CHECKPOINT_VERSION:
+            raise CheckpointError(
+                f"{self._path} is a checkpoint of another version of icub-kit (format {header.get('version', 1)}, this "
+                f"one reads {CHECKPOINT_VERSION}); finish it there, or delete it to learn anew"
+            )
         part = _Parts(tensors)
-        self._sac.restore(part.of("sac."), self._path)
+        self._sac.load_state_dict(part.of("sac."), self._path)
         self._best = part.of("best.")
         self._replay.load_state_dict(part.of("replay."))
         if self._demonstrations is not None:
             self._demonstrations.load_state_dict(part.of("demonstrations."))
-        self._env.restore({k: v.numpy() for k, v in part.of("env.").items()}, header["texts"])
+        self._task.load_state_dict(part.of("task."))
         self._generator.set_state(tensors["generator"])
         self._noise = tensors["noise"]
         kept = header["count"]
@@ -387,30 +392,31 @@ def end_codes(after: TensorDictBase) -> torch.Tensor:
 
 
 def demonstrate(
-    env: GraspEnv, teacher: Policy, replay: Replay, episodes: int, progress: Progress | None = None
+    task: Task, teacher: Policy, inputs: Inputs, replay: Replay, episodes: int, progress: Progress | None = None
 ) -> tuple[int, int]:
     """Fill `replay` with whole batch steps of a scripted policy until `episodes` have ended (thesis algorithm 4).
 
-    Failed episodes are kept, as in the thesis.
+    The teacher sees the privileged observation. Failed episodes are kept, as in the thesis.
 
     Returns:
         Successes and episodes.
     """
-    observation = env.reset()
+    teacher.bind(task)
+    task.reset()
+    observation = task.privileged()
     wins = ended = 0
     while ended < episodes and replay.added < len(replay.state):
-        state = features(observation)
+        state = inputs(observation)
         observation["action"] = teacher.act(observation)
-        after = env.advance(observation)
+        after = task.advance(observation)
         replay.add(state, observation["action"], after["reward"][:, 0], end_codes(after))
         done = after["done"][:, 0]
         if done.any():
             wins += int(after["success"].sum())
             ended += int(done.sum())
             for world in torch.nonzero(done)[:, 0].tolist():
-                env.begin(world, env.pools[world].draw())
-            after = env.observe()
+                task.begin(world, task.draw(world))
             if progress is not None:
                 progress(min(ended / episodes, 1.0), f"demonstrations: {wins} of {ended} grasped")
-        observation = after
+        observation = task.privileged()
     return wins, ended

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from icub_core.errors import ConfigError, unknown_name
-from icub_core.robot_description import Actuator, ContactMaterial, RobotDescription
+from icub_core.geometry import make_transform
+from icub_core.robot_description import Actuator, ContactMaterial, Grip, HandDescription, RobotDescription
 from icub_robots import body
 from icub_robots.cache import store_text
 from icub_robots.hand_meshes import hand_shapes
@@ -16,6 +17,20 @@ from icub_robots.models import BODY_MODEL, MODELS
 from icub_robots.urdf import assemble, joint_limits, root_transform
 
 COUPLINGS = ("tendon", "equal_split")
+WORKSPACE = np.array([[-0.65, -0.45, 0.93], [0.0, 0.55, 1.60]])
+"""Lowest and highest hand position, world, meters: in front of the robot, above the table."""
+GRIPS = {
+    side: Grip(
+        T_hand_grip=make_transform(np.eye(3), [0.033, -0.002, 0.001]),
+        width=0.075,  # of an opening of 0.09, of which placing and pose errors take their part
+        fingers_y=np.array([-0.036, -0.008, 0.020, 0.036]),  # index, middle, ring and little finger
+        depth=0.034,
+        sweep=np.array([[-0.020, 0.085], [-0.050, 0.050], [0.0, 0.075]]),
+    )
+    for side in SIDES
+}
+"""Where the hand holds: it squeezes along x, thumb against fingers; the palm looks along z; y runs from the index
+finger to the little one."""
 
 
 def describe(
@@ -66,9 +81,7 @@ def describe(
         groups=_groups(arms, legs, fingered),
         actuators=_actuators(arms, fingered, ranges),
         home={joint: q for joint, q in home.items() if joint in movable},
-        fingertips={hand.side: hand.fingertips for hand in fingered},
-        hand_frames={side: f"{side[0]}_hand_dh_frame" for side in arms},
-        hand_actuators={hand.side: tuple(a.name for a in hand.actuators) for hand in fingered},
+        hands={side: _hand(side, fingered) for side in SIDES if side in arms},
         cameras=body.CAMERAS,
         dynamics={
             joint: dynamics
@@ -88,6 +101,19 @@ def describe(
         ),
         coupled_joints=tuple(c for hand in fingered for c in hand.equal_split) if coupling == "equal_split" else (),
         gravity_compensation=True,
+    )
+
+
+def _hand(side: str, fingered: Sequence[Hand]) -> HandDescription:
+    hand = next((hand for hand in fingered if hand.side == side), None)
+    return HandDescription(
+        name=side,
+        frame=f"{side[0]}_hand_dh_frame",
+        reach=f"{side}_reach",
+        actuators=tuple(a.name for a in hand.actuators) if hand is not None else (),
+        fingertips=hand.fingertips if hand is not None else (),
+        grip=GRIPS[side] if hand is not None else None,
+        workspace=WORKSPACE,
     )
 
 

@@ -13,6 +13,8 @@ from icub_core.robot_description import Actuator, ContactMaterial, CoupledJoint,
 from icub_core.scene import QuatWxyz, Vec3
 
 SIDES = ("right", "left")
+STEP, STEPS = 0.2, {"pinky": 0.4}
+"""What an action of 1 moves an actuator by, rad; twice as much for the tendon of two fingers (released code)."""
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 
 
@@ -146,6 +148,7 @@ def _actuator(row: dict[str, Any], side: str, palm_link: str) -> Actuator:
         offset=row["offset"],
         open=row["open"],
         close=row["close"],
+        step=STEPS.get(row["name"], STEP),
     )
 
 

@@ -100,7 +100,7 @@ class ICub(Robot):
         q_start: FloatArray,
         frame: str,
         *,
-        group: str = "right_reach",
+        group: str | None = None,
         max_iterations: int = 100,
         position_tolerance: float = 1e-3,
         orientation_tolerance: float = 1e-2,
@@ -118,7 +118,7 @@ class ICub(Robot):
         q_start: FloatArray,
         frame: str,
         *,
-        group: str = "right_reach",
+        group: str | None = None,
         max_iterations: int = 100,
         position_tolerance: float = 1e-3,
         orientation_tolerance: float = 1e-2,
@@ -135,10 +135,10 @@ class ICub(Robot):
     def _gaze(self) -> Gaze:
         return Gaze(self._model)
 
-    def gaze(self, point: FloatArray, q_start: FloatArray, camera: str = "head_cam") -> GazeSolution:
+    def gaze(self, point: FloatArray, q_start: FloatArray, camera: str | None = None) -> GazeSolution:
         """Turn the neck so that `camera` looks at `point` (3,), within 8.1 degrees; see the interface."""
         self._check_start(q_start)
-        return self._gaze.solve(point, q_start, camera)
+        return self._gaze.solve(point, q_start, self._description.camera(camera).name)
 
     @cached_property
     def _collision_checker(self) -> CollisionChecker:

@@ -32,7 +32,7 @@ class HomeOutsideLimits(TinyRobot):
 class MissingFingertip(TinyRobot):
     def __init__(self) -> None:
         super().__init__()
-        tips = ("no_such_tip", *self._description.fingertips["right"][1:])
+        tips = ("no_such_tip", *self._description.hand("right").fingertips[1:])
         self._description = replace(self._description, fingertips={"right": tips})
 
 

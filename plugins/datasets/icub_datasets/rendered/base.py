@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from icub_core import registry
+from icub_core.construct import build
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import ConfigError, PluginError, unknown_name
 from icub_core.interfaces.dataset import Dataset
@@ -130,7 +131,7 @@ class RenderedDataset(Dataset):
     def _render(self, index: int) -> StoredFrame:
         sequence, moment = divmod(index, self._sequence_frames)
         if self._simulator is None:
-            self._simulator = registry.build("simulator", self._engine)
+            self._simulator = build("simulator", self._engine)
         if self._loaded != sequence:
             self._loaded = None  # a failed load must not pass for the sequence
             self._load(self._simulator, sequence)

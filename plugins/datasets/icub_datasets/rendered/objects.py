@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.scene import ObjectSpec
 
 YCB = (
@@ -32,5 +32,5 @@ RANDOM_SIZE = [0.08, 0.18]
 def target_object(name: str) -> ObjectSpec:
     """Build one object by its name, from the object set it belongs to."""
     if name.startswith("random_"):
-        return registry.build("objects", {"plugin": "random1000", "size": RANDOM_SIZE}).get(name)
-    return registry.build("objects", "ycb_primitives").get(name)
+        return build("objects", {"plugin": "random1000", "size": RANDOM_SIZE}).get(name)
+    return build("objects", "ycb_primitives").get(name)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core import registry
+from icub_core.construct import build
 from icub_core.data import PointCloud
 from icub_core.geometry import FloatArray
 from icub_core.interfaces.object_set import ObjectSet
@@ -40,7 +40,7 @@ class GripperTrials:
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
-        self._objects: ObjectSet = registry.build("objects", {"plugin": "random1000", "graspable": True})
+        self._objects: ObjectSet = build("objects", {"plugin": "random1000", "graspable": True})
 
     def batch(self, number: int) -> list[TriedScene]:
         """Try `POINTS` grasp points at each of `PLACEMENTS` places of `OBJECTS` objects drawn for this batch."""

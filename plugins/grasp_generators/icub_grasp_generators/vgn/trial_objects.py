@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from icub_core import registry
+from icub_core.construct import build
+from icub_core.errors import ConfigError, unknown_name
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.scene import Geom, ObjectSpec, QuatWxyz, Vec3
 
@@ -28,11 +29,29 @@ _ALONG_X: QuatWxyz = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
 _Parts = tuple[tuple[Geom, ...], Vec3]
 
 
+class OneObject(ObjectSet):
+    """A set of a single object."""
+
+    def __init__(self, spec: ObjectSpec) -> None:
+        self._spec = spec
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The object's name."""
+        return (self._spec.name,)
+
+    def get(self, name: str) -> ObjectSpec:
+        """Return the object; ConfigError for another name."""
+        if name != self._spec.name:
+            raise ConfigError(unknown_name("object", name, self.names))
+        return self._spec
+
+
 class TrialObjects:
     """Objects by number: the number alone decides shape and mass."""
 
     def __init__(self) -> None:
-        self._random: ObjectSet = registry.build("objects", {"plugin": "random1000", "graspable": True})
+        self._random: ObjectSet = build("objects", {"plugin": "random1000", "graspable": True})
 
     def draw(self, rng: np.random.Generator, count: int) -> list[int]:
         """Return `count` numbers, as many of `random1000` as of shapes; an odd one is a shape."""

@@ -84,8 +84,9 @@ def build_index(model: mujoco.MjModel, frames: LinkFrames, robot: RobotDescripti
         limits[first : first + 3], limits[first + 3 : first + 6] = FASTEST_OBJECT, FASTEST_SPIN
     carriers = [link_of_geom(model.geom(i).name) for i in range(model.ngeom)]
     tips = {}
-    for hand, names in (robot.fingertips if robot is not None else {}).items():
-        tips[hand] = np.array([names.index(link) if link in names else -1 for link in carriers], np.int8)
+    for hand in robot.hands.values() if robot is not None else ():
+        names = hand.fingertips
+        tips[hand.name] = np.array([names.index(link) if link in names else -1 for link in carriers], np.int8)
     n = len(joints)
     return Index(
         qpos=_indexer([int(model.joint(name).qposadr[0]) for name in joints]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import math
 import zlib
@@ -33,11 +34,16 @@ _RESET_WARNINGS = [int(w) for w in (_WARNING.mjWARN_BADQPOS, _WARNING.mjWARN_BAD
 """After each of these the engine resets the world by itself."""
 _CONTROL_WARNING = int(_WARNING.mjWARN_BADCTRL)
 _FULL_WARNINGS = [int(w) for w in (_WARNING.mjWARN_CONTACTFULL, _WARNING.mjWARN_CNSTRFULL)]
-_Places = tuple[FloatArray, FloatArray, FloatArray | None, list[int], FloatArray]
-"""Views of a body's rotation and position, T_body_link, `_contact_codes` of a hand, view of an object's position."""
-_OBJECT, _OTHER = 10, 30  # fingers are 0..4: finger + object 10..14, two objects 20, anything else 30 and more
-_TOUCHES = [np.array([bool(bits >> finger & 1) for finger in range(5)]) for bits in range(32)]
-"""Fingertips in contact by a number with one bit for each."""
+_Places = tuple[FloatArray, FloatArray, FloatArray | None, list[int], int, FloatArray]
+"""Views of a body's rotation and position, T_body_link, `_contact_codes` and fingertips of a hand, view of an object's position."""
+_OBJECT, _OTHER = 100, 300
+"""Fingertips are 0, 1, ...: fingertip + object from 100 on, two objects 200, anything else 300 and more."""
+
+
+@functools.cache
+def _touches(bits: int, count: int) -> NDArray[np.bool_]:
+    """Return the fingertips (count,) in contact of a number with one bit for each; not to be written to."""
+    return np.array([bool(bits >> finger & 1) for finger in range(count)], dtype=np.bool_)
 
 
 class Physics:
@@ -73,6 +79,8 @@ class Physics:
         self._no_warnings = bytes(self._warnings.nbytes)
         self._slow = float(index.velocity_limits.min(initial=np.inf)) ** 2
         self._tip_codes = {hand: self._contact_codes(tips) for hand, tips in index.fingertip_of_geom.items()}
+        hands = self.robot.hands.values() if self.robot is not None else ()
+        self._tip_counts = {hand.name: len(hand.fingertips) for hand in hands}
         self._stale = True
         self._seen: set[Fault] = set()
         self._clock = 0.0
@@ -204,27 +212,27 @@ class Physics:
         return slots
 
     def fingertip_contacts(self, hand: str) -> NDArray[np.bool_]:
-        """Return (5,) bool: thumb, index, middle, ring, little touch any object."""
+        """Return (t,) bool: which fingertips of a hand touch any object."""
         codes = self._tip_codes.get(hand)
         if codes is None:
             raise ConfigError(unknown_name("hand with fingertips", hand, self._tip_codes))
         if self._stale:
             self._refresh()
-        return self._touched(codes).copy()
+        return self._touched(codes, self._tip_counts[hand]).copy()
 
-    def _touched(self, codes: list[int]) -> NDArray[np.bool_]:
+    def _touched(self, codes: list[int], count: int) -> NDArray[np.bool_]:
         bits = 0
         if self.data.ncon:
             for first, second in self.data.contact.geom.tolist():  # a few contacts: faster than five array operations
                 finger = codes[first] + codes[second] - _OBJECT
-                if 0 <= finger < 5:
+                if 0 <= finger < count:
                     bits |= 1 << finger
-        return _TOUCHES[bits]
+        return _touches(bits, count)
 
     def hand_and_object(
         self, frame: str, hand: str, name: str
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], FloatArray]:
-        """Return T_world_frame (4, 4), actuator lengths (m,), fingertip contacts (5,), object position (3,).
+        """Return T_world_frame (4, 4), actuator lengths (m,), fingertip contacts (t,), object position (3,).
 
         The caller copies what it keeps: these are buffers and views.
         """
@@ -237,15 +245,16 @@ class Physics:
                 *body,
                 link.offset,
                 self._tip_codes[hand],
+                self._tip_counts[hand],
                 self._positions[thing],
             )
-        rotation, position, offset, codes, object_position = places
+        rotation, position, offset, codes, count, object_position = places
         if self._stale:
             self._refresh()
         self._frame_rotation[...] = rotation
         self._frame_position[...] = position
         T = self._frame if offset is None else self._frame.dot(offset)
-        return T, self._lengths + self._b, self._touched(codes), object_position
+        return T, self._lengths + self._b, self._touched(codes, count), object_position
 
     def _contact_codes(self, fingertip_of_geom: NDArray[np.int8]) -> list[int]:
         """Number geoms such that only the sum of finger f and an object is `_OBJECT` + f."""

@@ -95,14 +95,16 @@ class Mujoco(Simulator):
         return self._world.actuator_positions()
 
     def robot_state(self) -> RobotState:
-        """Joint positions and velocities, actuator lengths, fingertip contacts of the right hand."""
-        world = self._world
-        hands = world.index.fingertip_of_geom
-        contacts = world.fingertip_contacts("right") if "right" in hands else np.zeros(5, dtype=bool)
-        return world.robot_state(contacts)
+        """Joint positions and velocities, actuator lengths, fingertip contacts of the first hand."""
+        return self._world.robot_state(self.fingertip_contacts())
 
-    def fingertip_contacts(self, hand: str = "right") -> NDArray[np.bool_]:
-        """Which of the five fingertips touch any object."""
+    def fingertip_contacts(self, hand: str | None = None) -> NDArray[np.bool_]:
+        """Which fingertips of a hand touch any object."""
+        robot = self._world.robot
+        if hand is None:
+            if robot is None or not robot.hands:
+                return np.zeros(0, dtype=np.bool_)
+            hand = robot.hand().name
         return self._world.fingertip_contacts(hand)
 
     def link_pose(self, link: str) -> FloatArray:
@@ -124,7 +126,7 @@ class Mujoco(Simulator):
     def hand_and_object(
         self, frame: str, hand: str, name: str
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], FloatArray]:
-        """T_world_frame (4, 4), actuator lengths (m,), fingertip contacts (5,), object position (3,)."""
+        """T_world_frame (4, 4), actuator lengths (m,), fingertip contacts (t,), object position (3,)."""
         return (self._physics or self._world).hand_and_object(frame, hand, name)
 
     def touching(self, name: str) -> bool:

@@ -85,14 +85,18 @@ class PyBullet(Simulator):
         return self._world.actuator_positions()
 
     def robot_state(self) -> RobotState:
-        """Joint positions and velocities, actuator lengths, fingertip contacts of the right hand."""
+        """Joint positions and velocities, actuator lengths, fingertip contacts of the first hand."""
         world = self._world
-        hands = world.robot.fingertips if world.robot is not None else {}
-        contacts = world.fingertip_contacts("right") if "right" in hands else np.zeros(5, dtype=bool)
+        contacts = self.fingertip_contacts()
         return RobotState(world.joint_positions(), world.joint_velocities(), world.actuator_positions(), contacts)
 
-    def fingertip_contacts(self, hand: str = "right") -> NDArray[np.bool_]:
-        """Which of the five fingertips touch any object."""
+    def fingertip_contacts(self, hand: str | None = None) -> NDArray[np.bool_]:
+        """Which fingertips of a hand touch any object."""
+        robot = self._world.robot
+        if hand is None:
+            if robot is None or not robot.hands:
+                return np.zeros(0, dtype=np.bool_)
+            hand = robot.hand().name
         return self._world.fingertip_contacts(hand)
 
     def link_pose(self, link: str) -> FloatArray:

@@ -72,8 +72,8 @@ class World:
         set_robot_contacts(client, self.body, self.links, robot, self.floor)
         self._servos = Servos(robot, self.scene.timestep)
         self._fingers = {
-            hand: {self.links[link]: finger for finger, link in enumerate(tips)}
-            for hand, tips in robot.fingertips.items()
+            hand.name: {self.links[link]: finger for finger, link in enumerate(hand.fingertips)}
+            for hand in robot.hands.values()
         }
         masses = {link: client.getDynamicsInfo(self.body, link)[0] for link in self.links.values() if link >= 0}
         self._weights = [] if robot.gravity_compensation else [(k, m) for k, m in masses.items() if m > 1e-5]
@@ -201,11 +201,11 @@ class World:
         self._changed()
 
     def fingertip_contacts(self, hand: str) -> NDArray[np.bool_]:
-        """Return (5,) bool: thumb, index, middle, ring, little touch any object."""
+        """Return (t,) bool: which fingertips of a hand touch any object."""
         if hand not in self._fingers:
             raise ConfigError(unknown_name("hand with fingertips", hand, self._fingers))
-        touched = np.zeros(5, dtype=bool)
         fingers = self._fingers[hand]
+        touched = np.zeros(len(fingers), dtype=bool)
         for link, _ in self._robot_contacts():
             if link in fingers:
                 touched[fingers[link]] = True

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -10,28 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError
-from icub_core.interfaces.simulator import Fault
+from icub_core.geometry import matrix_to_euler
+from icub_core.interfaces.world import Fault
 from icub_tasks.grasping.fault_filter import FaultFilter
 from icub_tasks.grasping.reward import GraspReward
+from icub_tasks.grasping.signals import HandReader, ObjectReader, Signals
 from icub_tasks.grasping.spaces import (
     FINGERS,
     HAND_POSE,
-    NUMBER_OF_FINGER_ACTUATORS,
     OBJECT_CENTER,
-    PLAN,
     PLAN_CLOSED,
-    PLAN_FINGER_STEP,
     PLAN_GRASP,
     PLAN_OPENED,
-    PLAN_SIZE,
     PLAN_START,
-    PLAN_STEP,
+    STEP,
     TOUCH,
-    matrix_to_euler,
 )
-from icub_tasks.grasping.task import GraspTask, StartState, make_governor
 from icub_tasks.grasping.termination import EndReason, end_reasons
 from icub_tasks.grasping.tracking import HandTracker
+from icub_tasks.grasping.world import CONTROL_STEP, GraspWorld, StartState, make_governor
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -64,56 +62,56 @@ class TaskBatch:
     """N worlds of one robot, each with its own simulator.
 
     Args:
-        tasks: The worlds; same robot, hand and settings.
+        worlds: Same robot, hand and settings.
         threads: Threads that step physics; 1 steps in the caller's.
+        signals: How the object's motion is known.
     """
 
-    def __init__(self, tasks: Sequence[GraspTask], threads: int = 1) -> None:
-        if not tasks:
-            raise ConfigError("a grasping environment needs at least one task")
-        first = tasks[0]
-        self.tasks = list(tasks)
+    def __init__(self, worlds: Sequence[GraspWorld], threads: int = 1, signals: Signals = "object") -> None:
+        if not worlds:
+            raise ConfigError("a grasping task needs at least one world")
+        first = worlds[0]
+        self.worlds = list(worlds)
         self.layout, self.settings = first.layout, first.settings
         self.fault_filter = FaultFilter()
-        worlds, description = len(tasks), first.robot.description
+        count, description = len(worlds), first.robot.description
         self._scale = self.layout.action_scale
-        self._simulators = [task.simulator for task in tasks]
-        self._substeps = first.substeps
+        self._simulators = [world.simulator for world in worlds]
         self._tracker = HandTracker(first.robot, self.layout)
-        self._governor = make_governor(self.layout, worlds)
-        self._reward = GraspReward(worlds)
-        self._objects = [""] * worlds
-        self._q = np.zeros((worlds, len(description.joint_names)))
-        self._target = np.zeros((worlds, 6))
-        self._command = np.zeros((worlds, len(description.actuators)))
-        self._center = np.zeros((worlds, 3))
-        self._rest = np.zeros((worlds, 3))
-        self._plan = np.zeros((worlds, PLAN_SIZE))
-        self._plan[:, PLAN_OPENED], self._plan[:, PLAN_CLOSED] = self.layout.opened, self.layout.closed
-        self._plan[:, PLAN_FINGER_STEP] = self.layout.finger_step
-        self._steps = np.zeros(worlds, dtype=np.int64)
-        self._hand = np.tile(np.eye(4), (worlds, 1, 1))
+        self._governor = make_governor(self.layout, count)
+        self._reader = ObjectReader(self.layout) if signals == "object" else HandReader(self.layout, count)
+        self._reward = GraspReward(count)
+        self._objects = [""] * count
+        self._q = np.zeros((count, len(description.joint_names)))
+        self._target = np.zeros((count, 6))
+        self._command = np.zeros((count, len(description.actuators)))
+        self._center = np.zeros((count, 3))
+        self._rest = np.zeros((count, 3))
+        self._plan_start, self._plan_grasp = np.zeros((count, 3)), np.zeros((count, 3))
+        self._steps = np.zeros(count, dtype=np.int64)
+        self._hand = np.tile(np.eye(4), (count, 1, 1))
         self._lengths = np.zeros_like(self._command)
-        self._fingers = np.zeros((worlds, NUMBER_OF_FINGER_ACTUATORS))
-        self._faults: list[tuple[Fault, ...]] = [()] * worlds
-        self._touch = np.zeros((worlds, 5))
-        self._object = np.zeros((worlds, 3))
+        self._fingers = np.zeros((count, len(self.layout.fingers)))
+        self._faults: list[tuple[Fault, ...]] = [()] * count
+        self._touch = np.zeros((count, len(self.layout.hand.fingertips)))
+        self._object = np.zeros((count, 3))
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
-        self._shares: list[Sequence[int]] = [range(k, worlds, max(threads, 1)) for k in range(max(threads, 1))]
+        self._shares: list[Sequence[int]] = [range(k, count, max(threads, 1)) for k in range(max(threads, 1))]
 
     def __len__(self) -> int:
-        return len(self.tasks)
+        return len(self.worlds)
 
     def begin(self, world: int, start: StartState) -> None:
         """Put one world at the start of an episode."""
         self._simulators[world].restore_state(start.simulation)
         self._objects[world] = start.plan.object_name
-        self._q[world], self._target[world], self._command[world] = start.q_command, start.target, start.command
+        self._q[world], self._target[world], self._command[world] = start.q_command, start.hand_target, start.command
         self._center[world], self._rest[world] = start.plan.grasp.object_center, start.object_rest
-        self._plan[world, PLAN_START] = start.plan.T_near[:3, 3]
-        self._plan[world, PLAN_GRASP] = start.plan.grasp.T_world_hand[:3, 3]
+        self._plan_start[world] = start.plan.T_near[:3, 3]
+        self._plan_grasp[world] = start.plan.grasp.T_world_hand[:3, 3]
         self._steps[world] = 0
         self._governor.begin(world, start.command)
+        self._reader.begin(world, start.object_rest)
         self._read(world)
         self._fingers[world] = self._lengths[world, self.layout.fingers]
         self._reward.begin(
@@ -124,10 +122,10 @@ class TaskBatch:
         )
 
     def step(self, actions: FloatArray, active: Sequence[bool] | None = None) -> StepResult:
-        """Do one control step (25 ms) with actions (N, 15) in [-1, 1]; anything else is made safe.
+        """Do one control step (25 ms) with actions (N, 6 + F) in [-1, 1]; anything else is made safe.
 
         Args:
-            actions: (N, 15).
+            actions: (N, 6 + F).
             active: Worlds whose physics advances; what is returned of the others means nothing.
         """
         actions, bad = self._governor.clean_actions(np.asarray(actions, dtype=np.float64))
@@ -161,7 +159,7 @@ class TaskBatch:
             fallen=settings.fallen,
             max_steps=settings.max_steps,
         )
-        readings = (self._object, self._hand.reshape(len(self.tasks), 16), self._fingers)
+        readings = (self._object, self._hand.reshape(len(self.worlds), 16), self._fingers)
         finite = np.isfinite(sum(np.add.reduce(reading, axis=1) for reading in readings))
         fault = self.fault_filter.inspect(reasons, self._faults, errors, bad, finite, active)
         success = reasons == EndReason.SUCCESS
@@ -173,8 +171,7 @@ class TaskBatch:
 
     def observation(self) -> Observation:
         """Return what a policy may know, float32 arrays (N, ...) that the caller owns (see `spaces`)."""
-        self._plan[:, PLAN_STEP] = self._steps
-        pose = np.empty((len(self.tasks), 6), dtype=np.float32)
+        pose = np.empty((len(self.worlds), 6), dtype=np.float32)
         pose[:, :3] = self._hand[:, :3, 3]
         pose[:, 3:] = matrix_to_euler(self._hand[:, :3, :3])
         return {
@@ -182,7 +179,11 @@ class TaskBatch:
             FINGERS: self._fingers.astype(np.float32),
             TOUCH: self._touch.astype(np.float32),
             OBJECT_CENTER: self._center.astype(np.float32),
-            PLAN: self._plan.astype(np.float32),
+            PLAN_START: self._plan_start.astype(np.float32),
+            PLAN_GRASP: self._plan_grasp.astype(np.float32),
+            PLAN_OPENED: np.tile(self.layout.opened.astype(np.float32), (len(self.worlds), 1)),
+            PLAN_CLOSED: np.tile(self.layout.closed.astype(np.float32), (len(self.worlds), 1)),
+            STEP: self._steps.astype(np.float32)[:, None],
         }
 
     def object_name(self, world: int) -> str:
@@ -193,7 +194,7 @@ class TaskBatch:
         """Move the commanded joints towards the targets; returns what is left, (N, 2) m and rad, 0 where not active."""
         if active is None or all(active):
             return self._tracker.follow(self._q, self._target)
-        worlds, errors = np.flatnonzero(active), np.zeros((len(self.tasks), 2))
+        worlds, errors = np.flatnonzero(active), np.zeros((len(self.worlds), 2))
         q = self._q[worlds]
         errors[worlds] = self._tracker.follow(q, self._target[worlds])
         self._q[worlds] = q
@@ -220,12 +221,11 @@ class TaskBatch:
     def simulate(self, worlds: Sequence[int]) -> None:
         """Advance the physics of some worlds by one control step; everything else of a step is `step`'s."""
         for world in worlds:
-            self._simulators[world].step(self._substeps)
+            self._simulators[world].tick(CONTROL_STEP)
 
     def _read(self, world: int) -> None:
-        layout = self.layout
         simulator = self._simulators[world]
-        readings = simulator.hand_and_object(layout.frame, layout.side, self._objects[world])
+        readings = self._reader.read(world, simulator, self._objects[world])
         self._hand[world], self._lengths[world], self._touch[world], self._object[world] = readings
         self._faults[world] = simulator.faults()
 
@@ -234,25 +234,36 @@ class TaskBatch:
         local = np.einsum("nji,nj->ni", self._hand[:, :3, :2], self._center - self._hand[:, :3, 3])
         return np.sqrt(np.sum(local * local, axis=1))
 
-    def state(self) -> dict[str, NDArray[np.generic]]:
+    def object_positions(self) -> FloatArray:
+        """Return where the objects are, (N, 3) world, meters."""
+        return self._object.copy()
+
+    def state_dict(self) -> dict[str, NDArray[np.generic]]:
         """Return everything that decides the future of all worlds, as arrays."""
         arrays: dict[str, NDArray[np.generic]] = {name: getattr(self, f"_{name}").copy() for name in _ARRAYS}
-        arrays.update({f"governor.{k}": v for k, v in self._governor.state().items()})
-        arrays.update({f"reward.{k}": v for k, v in self._reward.state().items()})
+        arrays.update({f"governor.{k}": v for k, v in self._governor.state_dict().items()})
+        arrays.update({f"reward.{k}": v for k, v in self._reward.state_dict().items()})
+        arrays.update({f"reader.{k}": v for k, v in self._reader.state_dict().items()})
         arrays.update({f"simulation.{i}": s.save_state() for i, s in enumerate(self._simulators)})
-        names = [task.objects.index(name) for task, name in zip(self.tasks, self._objects, strict=True)]
+        names = [world.objects.index(name) for world, name in zip(self.worlds, self._objects, strict=True)]
         arrays["objects"] = np.array(names, dtype=np.int64)
+        counts = [self.fault_filter.ends.get(reason, 0) for reason in EndReason]
+        arrays["ends"] = np.array(counts, dtype=np.int64)
         return arrays
 
-    def restore(self, arrays: dict[str, NDArray[np.generic]]) -> None:
-        """Take back what `state` returned, in a batch of the same tasks."""
+    def load_state_dict(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Restore what `state_dict` returned, in a batch of the same worlds."""
         for name in _ARRAYS:
             getattr(self, f"_{name}")[...] = arrays[name]
-        self._governor.restore({k.partition(".")[2]: v for k, v in arrays.items() if k.startswith("governor.")})
-        self._reward.restore({k.partition(".")[2]: v for k, v in arrays.items() if k.startswith("reward.")})
+        self._governor.load_state_dict(part(arrays, "governor."))
+        self._reward.load_state_dict(part(arrays, "reward."))
+        self._reader.load_state_dict(part(arrays, "reader."))
         for i, simulator in enumerate(self._simulators):
             simulator.restore_state(np.asarray(arrays[f"simulation.{i}"], dtype=np.float64))
-        self._objects = [task.objects[int(k)] for task, k in zip(self.tasks, arrays["objects"], strict=True)]
+        self._objects = [world.objects[int(k)] for world, k in zip(self.worlds, arrays["objects"], strict=True)]
+        self.fault_filter.ends = Counter(
+            {reason: int(n) for reason, n in zip(EndReason, arrays["ends"], strict=True) if n}
+        )
 
     def close(self) -> None:
         """Free threads and simulators; may be called twice."""
@@ -263,4 +274,22 @@ class TaskBatch:
             simulator.close()
 
 
-_ARRAYS = ("q", "target", "command", "center", "rest", "plan", "steps", "hand", "fingers", "touch", "object")
+def part(arrays: Mapping[str, NDArray[np.generic]], prefix: str) -> dict[str, NDArray[np.generic]]:
+    """Return the arrays whose names begin with `prefix`, without it."""
+    return {key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)}
+
+
+_ARRAYS = (
+    "q",
+    "target",
+    "command",
+    "center",
+    "rest",
+    "plan_start",
+    "plan_grasp",
+    "steps",
+    "hand",
+    "fingers",
+    "touch",
+    "object",
+)

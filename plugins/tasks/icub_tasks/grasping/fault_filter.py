@@ -1,4 +1,4 @@
-"""Fault fault filter: what the world did wrong never becomes experience, and is counted."""
+"""Fault filter: discards and counts transitions with a fault of the world."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.interfaces.simulator import Fault
-from icub_tasks.grasping.termination import FIRST_FAULT, OF_SIMULATOR, EndReason
+from icub_core.interfaces.world import Fault
+from icub_tasks.grasping.termination import FIRST_FAULT, OF_WORLD, EndReason
 
 POSITION_LAG = 0.03
 """Meters between the wanted and the solved hand position at which inverse kinematics has failed (released code)."""
@@ -40,7 +40,7 @@ class FaultFilter:
 
         Args:
             reasons: End reasons of a fault-free world.
-            faults: Of N worlds, what their simulators reported.
+            faults: Of N worlds, what they reported.
             tracking_errors: (N, 2) position and orientation that inverse kinematics left, m and rad.
             bad_actions: (N,) the policy's action was not finite.
             readings_finite: (N,) everything that was measured is finite.
@@ -55,7 +55,7 @@ class FaultFilter:
         reasons[~readings_finite] = EndReason.NOT_A_NUMBER
         for i, found in enumerate(faults):
             if found:
-                reasons[i] = OF_SIMULATOR[found[0]]
+                reasons[i] = OF_WORLD[found[0]]
         ended = reasons != EndReason.RUNNING
         if active is not None:
             ended = ended & np.asarray(active)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from icub_core.data import Grasp, RgbdFrame
 from icub_core.interfaces.grasp_generator import GraspGenerator
 from icub_core.interfaces.robot import Robot
+from icub_core.robot_description import HandDescription
 from icub_core.scene import Table
 
 FloatArray = NDArray[np.float64]
@@ -60,7 +61,7 @@ def plan_grasp(
     q_start: FloatArray,
     *,
     table: Table | None,
-    hand: str = "right",
+    hand: HandDescription,
 ) -> GraspPlan | PlanFailure:
     """Plan from one image: masked cloud, proposals, the first that inverse kinematics reaches.
 
@@ -68,17 +69,16 @@ def plan_grasp(
     """
     if mask is None or not mask.any():
         return PlanFailure.NOT_SEEN
-    proposals = generator.propose(frame.to_cloud(mask), robot, table, hand)
+    proposals = generator.propose(frame.to_cloud(mask), robot, table, hand.name)
     if not proposals:
         return PlanFailure.NO_GRASP
-    hand_frame = robot.description.hand_frames[hand]
     for grasp in proposals.grasps:
         T_far, T_near = grasp.backed_off(FAR), grasp.backed_off(NEAR)
-        solution = robot.inverse_kinematics(T_far, q_start, hand_frame, group=f"{hand}_reach")
+        solution = robot.inverse_kinematics(T_far, q_start, hand.frame, group=hand.reach)
         if not solution.reached:
             continue
         T_lifted = grasp.T_world_hand.copy()
         T_lifted[2, 3] += LIFT
-        if robot.inverse_kinematics(T_lifted, solution.q, hand_frame, group=f"{hand}_reach").reached:
+        if robot.inverse_kinematics(T_lifted, solution.q, hand.frame, group=hand.reach).reached:
             return GraspPlan(object_name, grasp, T_far, T_near, solution.q)
     return PlanFailure.UNREACHABLE

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from icub_core.data import Grasp
 from icub_tasks.grasping.plan import GraspPlan
-from icub_tasks.grasping.task import GraspTask, StartState
+from icub_tasks.grasping.world import GraspWorld, StartState
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -25,14 +25,14 @@ class StartPool:
     """Starts of one world.
 
     Args:
-        task: Plans them.
+        world: Plans them.
         size: Starts kept; 0 plans every one afresh.
         fresh: Share of the draws that are planned afresh once the pool is full; the new start replaces a random one.
         seed: Decides every draw.
     """
 
-    def __init__(self, task: GraspTask, size: int = 0, fresh: float = 0.05, seed: int = 0) -> None:
-        self._task, self._size, self._fresh = task, size, fresh
+    def __init__(self, world: GraspWorld, size: int = 0, fresh: float = 0.05, seed: int = 0) -> None:
+        self._world, self._size, self._fresh = world, size, fresh
         self.starts: list[StartState] = []
         self._rng = np.random.default_rng(seed)
         self.planned = 0
@@ -50,7 +50,7 @@ class StartPool:
             self._plan()
 
     def _plan(self) -> StartState:
-        start = self._task.prepare(self._rng)
+        start = self._world.prepare(self._rng)
         self.planned += 1
         if len(self.starts) < self._size:
             self.starts.append(start)
@@ -58,12 +58,12 @@ class StartPool:
             self.starts[int(self._rng.integers(self._size))] = start
         return start
 
-    def state(self) -> tuple[Arrays, str]:
+    def state_dict(self) -> tuple[Arrays, str]:
         """Return the kept starts as arrays and the state of the random numbers as text."""
         return pack_starts(self.starts), json.dumps({"rng": self._rng.bit_generator.state, "planned": self.planned})
 
-    def restore(self, arrays: Arrays, text: str) -> None:
-        """Take back what `state` returned."""
+    def load_state_dict(self, arrays: Arrays, text: str) -> None:
+        """Restore what `state_dict` returned."""
         self.starts = unpack_starts(arrays)
         kept = json.loads(text)
         self._rng.bit_generator.state = kept["rng"]
@@ -78,7 +78,7 @@ def pack_starts(starts: Sequence[StartState]) -> Arrays:
     rows: dict[str, list[Any]] = {
         "simulation": [s.simulation for s in starts],
         "q_command": [s.q_command for s in starts],
-        "target": [s.target for s in starts],
+        "hand_target": [s.hand_target for s in starts],
         "command": [s.command for s in starts],
         "object_rest": [s.object_rest for s in starts],
         "T_world_hand": [s.plan.grasp.T_world_hand for s in starts],
@@ -105,6 +105,6 @@ def unpack_starts(arrays: Arrays) -> list[StartState]:
     for i, (object_name, generator, hand) in enumerate(names):
         grasp = Grasp(rows["T_world_hand"][i], rows["object_center"][i], float(rows["score"][i]), generator, hand)
         plan = GraspPlan(object_name, grasp, rows["T_far"][i], rows["T_near"][i], rows["q_far"][i])
-        start = (rows[name][i] for name in ("simulation", "q_command", "target", "command", "object_rest"))
+        start = (rows[name][i] for name in ("simulation", "q_command", "hand_target", "command", "object_rest"))
         starts.append(StartState(plan, *start))
     return starts

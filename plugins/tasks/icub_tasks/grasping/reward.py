@@ -19,12 +19,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from icub_tasks.grasping.spaces import FINGERTIPS_OF_A_GRASP
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 MILLIMETERS = 1000.0
 CENTIMETERS = 100.0
-FINGERS_OF_A_GRASP = 2
 
 
 class GraspReward:
@@ -39,7 +40,7 @@ class GraspReward:
     def begin(self, world: int, *, contacts: float, distance: float, height: float) -> None:
         """Start an episode of one world from what holds at its first step: count, meters, meters."""
         self._contacts[world], self._distance[world], self._height[world] = contacts, distance, height
-        self.two_touched[world] = contacts >= FINGERS_OF_A_GRASP
+        self.two_touched[world] = contacts >= FINGERTIPS_OF_A_GRASP
 
     def __call__(
         self, contacts: FloatArray, distance: FloatArray, height: FloatArray, success: BoolArray, failure: BoolArray
@@ -53,7 +54,7 @@ class GraspReward:
             success: (N,) the episode ends with the object lifted.
             failure: (N,) the episode ends otherwise.
         """
-        holds = contacts >= FINGERS_OF_A_GRASP
+        holds = contacts >= FINGERTIPS_OF_A_GRASP
         self.two_touched |= holds
         rise = (height - self._height) * MILLIMETERS
         counts = np.where(rise > 0, holds, self.two_touched)
@@ -64,7 +65,7 @@ class GraspReward:
         self._contacts, self._distance, self._height = contacts, distance, height
         return rewards
 
-    def state(self) -> dict[str, NDArray[np.generic]]:
+    def state_dict(self) -> dict[str, NDArray[np.generic]]:
         """Return copies of what the next rewards depend on."""
         return {
             "contacts": self._contacts.copy(),
@@ -73,8 +74,8 @@ class GraspReward:
             "two_touched": self.two_touched.copy(),
         }
 
-    def restore(self, state: dict[str, NDArray[np.generic]]) -> None:
-        """Take back what `state` returned."""
+    def load_state_dict(self, state: dict[str, NDArray[np.generic]]) -> None:
+        """Restore what `state_dict` returned."""
         self._contacts = np.array(state["contacts"], dtype=np.float64)
         self._distance = np.array(state["distance"], dtype=np.float64)
         self._height = np.array(state["height"], dtype=np.float64)

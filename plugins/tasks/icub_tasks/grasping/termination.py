@@ -7,7 +7,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.interfaces.simulator import Fault
+from icub_core.interfaces.world import Fault
+from icub_tasks.grasping.spaces import FINGERTIPS_OF_A_GRASP
 
 
 class EndReason(IntEnum):
@@ -24,16 +25,20 @@ class EndReason(IntEnum):
     DROPPED_CONTACTS = 8
     EXPLODING_VELOCITY = 9
     WORKER_LOST = 10
+    STALE_DATA = 11
+    HARDWARE = 12
 
 
 FIRST_FAULT = EndReason.IK_FAILURE
 """Reasons from here on are faults: truncations whose transition is never learned from."""
 
-OF_SIMULATOR = {
+OF_WORLD = {
     Fault.HIDDEN_RESET: EndReason.HIDDEN_RESET,
     Fault.NOT_A_NUMBER: EndReason.NOT_A_NUMBER,
     Fault.DROPPED_CONTACTS: EndReason.DROPPED_CONTACTS,
     Fault.EXPLODING_VELOCITY: EndReason.EXPLODING_VELOCITY,
+    Fault.STALE_DATA: EndReason.STALE_DATA,
+    Fault.HARDWARE: EndReason.HARDWARE,
 }
 
 
@@ -66,5 +71,5 @@ def end_reasons(
     reasons = np.where(steps >= max_steps, int(EndReason.TIME_LIMIT), int(EndReason.RUNNING))
     sideways = np.hypot(displacement[:, 0], displacement[:, 1])
     reasons[(sideways > moved) | (displacement[:, 2] < -fallen)] = EndReason.MOVED
-    reasons[(displacement[:, 2] >= lift) & (contacts >= 2)] = EndReason.SUCCESS
+    reasons[(displacement[:, 2] >= lift) & (contacts >= FINGERTIPS_OF_A_GRASP)] = EndReason.SUCCESS
     return reasons

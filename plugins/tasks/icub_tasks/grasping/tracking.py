@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from icub_core.geometry import euler_to_matrix
 from icub_core.interfaces.robot import Robot
-from icub_tasks.grasping.spaces import HandLayout, euler_to_matrix
+from icub_tasks.grasping.spaces import HandLayout
 
 FloatArray = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ class HandTracker:
 
     def __init__(self, robot: Robot, layout: HandLayout) -> None:
         self._robot = robot
-        self._frame = layout.frame
+        self._frame = layout.hand.frame
         self._joints = layout.reach_joints
         self._lower = robot.description.lower[self._joints]
         self._upper = robot.description.upper[self._joints]

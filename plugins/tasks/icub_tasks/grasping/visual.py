@@ -8,9 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from icub_core.flare import HISTORY, flare
 from icub_core.interfaces.feature_extractor import FeatureExtractor
-
-HISTORY = 3
 
 
 class VisualEncoder(ABC):
@@ -26,7 +25,7 @@ class VisualEncoder(ABC):
         """Encode a image (H, W, 3) uint8: (F,) float32."""
 
 
-class PictureEncoder(VisualEncoder):
+class ImageEncoder(VisualEncoder):
     """Describes the whole image as one region of a feature extractor, scaled to entries near the size of 1."""
 
     def __init__(self, extractor: FeatureExtractor) -> None:
@@ -46,15 +45,6 @@ class PictureEncoder(VisualEncoder):
             whole = torch.tensor([[0.0, 0.0, float(width), float(height)]])
             described = self._extractor.region_features(image, whole)[0].float().cpu()
         return described / described.square().mean().sqrt().clamp_min(1e-6)
-
-
-def flare(features: torch.Tensor) -> torch.Tensor:
-    """Stack features (..., 3, F) of t-2, t-1, t: (..., 5 F) = f(t-2), f(t-2)-f(t-1), f(t-1), f(t-1)-f(t), f(t).
-
-    The differences are older minus newer, as in the released code. Source: Flare (thesis reference 177).
-    """
-    oldest, older, newest = features.unbind(dim=-2)
-    return torch.cat([oldest, oldest - older, older, older - newest, newest], dim=-1)
 
 
 class VisualStack:
@@ -85,10 +75,10 @@ class VisualStack:
         """Return the stacked features (N, 5 F)."""
         return flare(self._features)
 
-    def state(self) -> torch.Tensor:
+    def state_dict(self) -> torch.Tensor:
         """Return a copy of the history."""
         return self._features.clone()
 
-    def restore(self, features: torch.Tensor) -> None:
-        """Take back what `state` returned."""
+    def load_state_dict(self, features: torch.Tensor) -> None:
+        """Restore what `state_dict` returned."""
         self._features.copy_(features)

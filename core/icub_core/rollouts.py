@@ -1,4 +1,4 @@
-"""Success of a policy, episode by episode, from starts that depend on nothing but the seed."""
+"""Success of a policy in a task, episode by episode, from starts that depend on nothing but the seed."""
 
 from __future__ import annotations
 
@@ -11,14 +11,12 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
-from icub_core.errors import ConfigError
+from icub_core.errors import ConfigError, PluginError
 from icub_core.interfaces.policy import Policy, Progress
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.task import StartState
-from icub_tasks.grasping.termination import FIRST_FAULT, EndReason
+from icub_core.interfaces.task import RUNNING, Start, Task
 
-StepRecorder = Callable[[int, GraspEnv, int, TensorDictBase], None]
-"""Called after every step with world, environment, episode number and what that world's step gave (observation,
+StepRecorder = Callable[[int, Task, int, TensorDictBase], None]
+"""Called after every step with world, task, episode number and what that world's step gave (observation,
 `action`, `reward`, `reason`), to take images and to tell listeners."""
 
 WILSON_Z = 1.959963984540054
@@ -32,9 +30,11 @@ class EpisodeResults:
         success: (E,) bool.
         returns: (E,) sums of rewards.
         steps: (E,) control steps.
-        reasons: (E,) `EndReason`; faults are failures.
+        reasons: (E,) positions in `reason_names`.
+        faults: Episodes that a fault ended; they count as failures.
         objects: Name of each episode's object.
-        resamples: Object poses without a plan, which were drawn anew.
+        reason_names: Of the task.
+        resamples: Starts that were impossible and drawn again.
     """
 
     success: NDArray[np.bool_]
@@ -42,6 +42,8 @@ class EpisodeResults:
     steps: NDArray[np.int64]
     reasons: NDArray[np.int64]
     objects: tuple[str, ...]
+    reason_names: tuple[str, ...] = ()
+    faults: int = 0
     resamples: int = 0
 
     def __len__(self) -> int:
@@ -66,13 +68,8 @@ class EpisodeResults:
         return counts
 
     def ends(self) -> dict[str, int]:
-        """Return the number of episodes by end reason, lower case."""
-        return {EndReason(int(r)).name.lower(): n for r, n in sorted(Counter(self.reasons.tolist()).items())}
-
-    @property
-    def faults(self) -> int:
-        """Episodes that a fault ended."""
-        return int((self.reasons >= FIRST_FAULT).sum())
+        """Return the number of episodes by the name of their end."""
+        return {self.reason_names[r]: n for r, n in sorted(Counter(self.reasons.tolist()).items())}
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
@@ -99,8 +96,8 @@ def paired_gain(
 
 def evaluate(
     policy: Policy,
-    env: GraspEnv,
-    episodes: int,
+    task: Task,
+    episodes: int = 20,
     seed: int = 0,
     *,
     recorder: StepRecorder | None = None,
@@ -109,12 +106,12 @@ def evaluate(
 ) -> EpisodeResults:
     """Run a policy deterministically for a number of episodes.
 
-    Episode e starts from the generator seeded with (seed, e), planned afresh from its own image, in world e mod N:
-    two policies evaluated with one seed in one environment meet the same starts, whatever they do in between.
+    Episode e starts from the generator seeded with (seed, e), in world e mod N: two policies that are evaluated with
+    one seed in one task meet the same starts, whatever they do in between.
 
     Args:
         policy: Acts.
-        env: Its worlds are taken over; call `reset` before using it for anything else.
+        task: Its worlds are taken over; call `reset` before using it for anything else.
         episodes: How many.
         seed: Of the starts.
         recorder: Sees every step.
@@ -124,48 +121,49 @@ def evaluate(
     if episodes < 1:
         raise ConfigError(f"evaluation of {episodes} episodes; expected at least 1")
 
-    def start_of(world: int, episode: int) -> StartState:
-        return env.batch.tasks[world].prepare(np.random.default_rng([seed, first + episode]))
+    def start_of(world: int, episode: int) -> Start:
+        return task.draw(world, np.random.default_rng([seed, first + episode]))
 
-    resamples_before = _resamples(env)
-    results = run_episodes(policy, env, episodes, start_of, recorder=recorder, progress=progress)
-    return replace(results, resamples=_resamples(env) - resamples_before)
+    before = task.resamples
+    results = run_episodes(policy, task, episodes, start_of, recorder=recorder, progress=progress)
+    return replace(results, resamples=task.resamples - before)
 
 
 def run_episodes(
     policy: Policy,
-    env: GraspEnv,
+    task: Task,
     episodes: int,
-    start_of: Callable[[int, int], StartState],
+    start_of: Callable[[int, int], Start],
     *,
     recorder: StepRecorder | None = None,
     progress: Progress | None = None,
 ) -> EpisodeResults:
     """Run episodes whose starts `start_of(world, episode)` gives; episode e runs in world e mod N."""
-    worlds = len(env.batch)
+    policy.bind(task)
+    worlds = task.batch_size[0]
     success = np.zeros(episodes, dtype=np.bool_)
     returns = np.zeros(episodes)
     steps = np.zeros(episodes, dtype=np.int64)
     reasons = np.zeros(episodes, dtype=np.int64)
     names = [""] * episodes
     queues = [list(range(world, episodes, worlds))[::-1] for world in range(worlds)]
+    faults = 0
 
     def next_episode(world: int) -> int | None:
         if not queues[world]:
             return None
         episode = queues[world].pop()
         start = start_of(world, episode)
-        env.begin(world, start)
-        names[episode] = start.plan.object_name
+        task.begin(world, start)
+        names[episode] = start.target
         return episode
 
     running = [next_episode(world) for world in range(worlds)]
-    observation = env.observe()
+    observation = task.observe()
     finished = 0
     while any(episode is not None for episode in running):
-        with torch.no_grad():
-            action = observation["action"] = policy.act(observation)
-        observation = env.advance(observation, [episode is not None for episode in running])
+        action = observation["action"] = _act(policy, observation)
+        observation = task.advance(observation, [episode is not None for episode in running])
         observation["action"] = action
         reward = observation["reward"].reshape(-1).numpy()
         reason = observation["reason"].reshape(-1).numpy()
@@ -176,23 +174,32 @@ def run_episodes(
             returns[episode] += reward[world]
             steps[episode] += 1
             if recorder is not None:
-                recorder(world, env, episode, observation[world])
-            if reason[world] == EndReason.RUNNING:
+                recorder(world, task, episode, observation[world])
+            if reason[world] == RUNNING:
                 continue
-            success[episode] = reason[world] == EndReason.SUCCESS
+            success[episode] = bool(observation["success"][world])
+            faults += int(observation["fault"][world])
             reasons[episode] = reason[world]
             finished += 1
             running[world] = next_episode(world)
             begun = True
             if progress is not None:
-                progress(finished / episodes, f"{int(success.sum())} of {finished} grasped")
+                progress(finished / episodes, f"{int(success.sum())} of {finished} succeeded")
         if begun:
-            observation = env.observe()
-    return EpisodeResults(success, returns, steps, reasons, tuple(names))
+            observation = task.observe()
+    return EpisodeResults(success, returns, steps, reasons, tuple(names), task.reasons, faults)
 
 
-def _resamples(env: GraspEnv) -> int:
-    return sum(sum(task.plan_failures.values()) for task in env.batch.tasks)
+def _act(policy: Policy, observation: TensorDictBase) -> torch.Tensor:
+    try:
+        with torch.no_grad():
+            return policy.act(observation)
+    except KeyError as missing:
+        known = ", ".join(sorted(str(key) for key in observation.keys()))
+        raise PluginError(
+            f"the policy {type(policy).__name__} asks for the observation {missing}, which the task does not have (a "
+            f"policy written for version 1 of the interface? this is version 2). Known: {known}"
+        ) from missing
 
 
 def merge(results: Sequence[EpisodeResults]) -> EpisodeResults:
@@ -203,5 +210,7 @@ def merge(results: Sequence[EpisodeResults]) -> EpisodeResults:
         np.concatenate([r.steps for r in results]),
         np.concatenate([r.reasons for r in results]),
         tuple(name for r in results for name in r.objects),
+        results[0].reason_names,
+        sum(r.faults for r in results),
         sum(r.resamples for r in results),
     )
