@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from icub_core.config.schema import checked_parameters, constructor_arguments, signature, typed_node
+from icub_core.config.schema import signature, typed_node
+from icub_core.construct import checked_parameters, constructor_arguments
 from icub_core.errors import ConfigError, PluginError
 
 if TYPE_CHECKING:
