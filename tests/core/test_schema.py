@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Optional
+from typing import TYPE_CHECKING, Optional
 
 import numpy as np
 import pytest
@@ -137,7 +137,7 @@ def test_a_required_parameter_must_be_given():
     assert checked_parameters("dataset", "needs", Needs, {"root": "a"}) == {"root": Path("a")}
 
 
-@pytest.mark.parametrize("annotation", [Literal["a", "b"], Sequence[int], np.ndarray, set, bytes])
+@pytest.mark.parametrize("annotation", [Sequence[int], np.ndarray, set, bytes])
 def test_types_that_no_configuration_can_hold_are_refused(annotation):
     class Odd:
         def __init__(self, value: annotation): ...

@@ -28,10 +28,7 @@ SIZES = {
 
 def observations(count: int, seed: int, size: float = 1.0) -> TensorDict:
     generator = torch.Generator().manual_seed(seed)
-    entries = {
-        name: size * torch.randn(count, width, generator=generator)
-        for name, width in SIZES.items()
-    }
+    entries = {name: size * torch.randn(count, width, generator=generator) for name, width in SIZES.items()}
     return TensorDict(entries, [count])
 
 
@@ -84,7 +81,11 @@ def test_inputs_do_not_jump_where_angles_do():
 @pytest.mark.parametrize("kind", ["gpayn", "resprect"])
 def test_what_is_saved_is_restored_exactly(kind, base_file, like_the_icub, tmp_path):
     def build(seed: int):
-        return bound(Gpayn(hidden=16, seed=seed), like_the_icub) if kind == "gpayn" else Resprect(base=str(base_file), seed=seed)
+        return (
+            bound(Gpayn(hidden=16, seed=seed), like_the_icub)
+            if kind == "gpayn"
+            else Resprect(base=str(base_file), seed=seed)
+        )
 
     first, second = build(1), build(2)
     with torch.no_grad():
@@ -178,7 +179,9 @@ def test_weights_are_of_one_hand_and_another_hand_is_refused_in_one_line(base_fi
     for policy in (Gpayn(weights=str(base_file), hidden=16), Resprect(base=str(base_file))):
         with pytest.raises(ConfigError) as refusal:
             policy.bind(TinyTask(fingers=fingers, fingertips=fingertips))
-        assert f"9 actuators and 5 fingertips (15 actions); the task's has {fingers} and {fingertips}" in str(refusal.value)
+        assert f"9 actuators and 5 fingertips (15 actions); the task's has {fingers} and {fingertips}" in str(
+            refusal.value
+        )
         assert "\n" not in str(refusal.value)
 
 
@@ -200,7 +203,9 @@ def test_a_script_needs_a_plan_and_steps_that_an_action_can_make(like_the_icub):
 
     with pytest.raises(ConfigError, match="the task does not observe 'plan_grasp'"):
         Demonstrations().bind(WithoutAPlan())
-    with pytest.raises(ConfigError, match=r"approach_step=0\.03 is more than an action can move; expected at most 0\.02 m"):
+    with pytest.raises(
+        ConfigError, match=r"approach_step=0\.03 is more than an action can move; expected at most 0\.02 m"
+    ):
         Demonstrations(approach_step=0.03).bind(like_the_icub)
     with pytest.raises(ConfigError, match="must be bound to a task"):
         Demonstrations().act(like_the_icub.reset())
