@@ -113,7 +113,7 @@ def lines_of(package: Path) -> int:
 
 
 def forbidden_imports(package: Path, allowed: Collection[str], forbidden: Collection[str]) -> list[str]:
-    """Return ``module -> imported`` for every import of a package of this project, or other name, that is not allowed."""
+    """Return ``module -> imported`` for every import that is not allowed of this project's packages and other names."""
     modules = modules_of(package)
     bad = (set(NAMES) | set(forbidden)) - {package.name, *allowed}
     return [
@@ -310,7 +310,7 @@ def test_a_name_in_a_string_is_noticed_and_one_in_a_docstring_is_not(tmp_path, s
 
 
 def _interfaces() -> dict[str, Path]:
-    """Modules of `icub_core.interfaces` that a plugin's author meets: all but the abilities that several kinds share."""
+    """Return the modules that a plugin's author meets: all but the abilities that several kinds share."""
     found = {n: f for n, f in modules_of(NAMES[CORE]).items() if n.startswith("icub_core.interfaces.")}
     del found["icub_core.interfaces.abilities"]
     return found

@@ -203,9 +203,7 @@ def test_a_script_needs_a_plan_and_steps_that_an_action_can_make(like_the_icub):
 
     with pytest.raises(ConfigError, match="the task does not observe 'plan_grasp'"):
         Demonstrations().bind(WithoutAPlan())
-    with pytest.raises(
-        ConfigError, match=r"approach_step=0\.03 is more than an action can move; expected at most 0\.02 m"
-    ):
+    with pytest.raises(ConfigError, match=r"approach_step=0\.03 is more than .*; expected at most 0\.02 m"):
         Demonstrations(approach_step=0.03).bind(like_the_icub)
     with pytest.raises(ConfigError, match="must be bound to a task"):
         Demonstrations().act(like_the_icub.reset())

@@ -274,10 +274,23 @@ def test_an_object_that_was_moved_away_ends_the_episode_for_good_and_costs_one(m
 def test_the_state_of_another_task_is_refused_and_changes_nothing(make_task):
     one, two = make_task(), make_task(num_envs=2)
     one.reset()
-    before = one.observe()
+    before = one.state_dict()
     with pytest.raises(CheckpointError, match="of 2 worlds without images; this one has 1 without"):
         one.load_state_dict(two.state_dict())
-    assert torch.equal(one.observe()["hand_pose"], before["hand_pose"])
+    shorter = {**before, "batch.simulation.0": before["batch.simulation.0"][:-1], "batch.q": before["batch.q"] + 1}
+    with pytest.raises(CheckpointError, match=r"the state is of another grasping task: 'simulation\.0' has shape \("):
+        one.load_state_dict(shorter)
+    after = one.state_dict()
+    assert [name for name, value in before.items() if not torch.equal(value, after[name])] == []
+
+
+def test_a_task_that_has_not_begun_has_a_state_too(make_task):
+    one, two = make_task(seed=4), make_task(seed=5)
+    state = one.state_dict()
+    first = one.reset()
+    two.reset()
+    two.load_state_dict(state)
+    assert torch.equal(two.reset()["hand_pose"], first["hand_pose"])
 
 
 @pytest.mark.parametrize("signals", ["object", "hand"])
