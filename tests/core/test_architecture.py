@@ -145,12 +145,13 @@ def closure(name: str, graph: Mapping[str, Collection[str]]) -> set[str]:
 def strings_of(file: Path) -> Iterator[tuple[int, str]]:
     """Yield line and text of every string of a module that is no docstring, pieces of f-strings included."""
     tree = ast.parse(file.read_text(encoding="utf-8"))
+    bodies = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     documentation = {
         id(node.value)
         for parent in ast.walk(tree)
-        for node in getattr(parent, "body", [])
-        if isinstance(parent, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef))
-        and isinstance(node, ast.Expr)
+        if isinstance(parent, bodies)
+        for node in parent.body
+        if isinstance(node, ast.Expr)
     }
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documentation:
