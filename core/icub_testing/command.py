@@ -1,4 +1,4 @@
-"""``icub plugins check``: the contract of a kind, tried on plugins, as a table."""
+"""What ``icub plugins check`` calls: the contract of a kind, tried on plugins, as a table."""
 
 from __future__ import annotations
 
