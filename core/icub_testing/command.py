@@ -25,7 +25,7 @@ def check_plugins(kind: str, names: Sequence[str], parameters: Mapping[str, Any]
     broken = 0
     for name in names:
         make = with_tiny_dependencies(kind, name, parameters)
-        make()  # a plugin that cannot be built at all is one error, not one a check
+        make()  # a plugin that cannot be built at all is one error, not one per check
         total = failed = 0
         console.print(f"{kind}={name}", style="bold")
         for result in run_checks(kind, make):
