@@ -32,7 +32,7 @@ def load(kind: str, name: str, *, overrides: Sequence[str] = (), **parameters: A
 
 
 def make_env(
-    task: str = "grasp",
+    task: str | None = None,
     *,
     objects: Sequence[str] | None = None,
     num_envs: int = 1,
@@ -42,7 +42,7 @@ def make_env(
     """Build a task: a TorchRL environment of `num_envs` worlds.
 
     Args:
-        task: Registry name.
+        task: Registry name; None takes the one that runs take by default.
         objects: Names of the objects that episodes are about; None takes all of the object set.
         num_envs: Worlds.
         overrides: Further words as after ``icub run``, such as ``"robot=tiny"`` or ``"simulator=pybullet"``.
@@ -53,7 +53,6 @@ def make_env(
         ConfigError: A parameter that does not exist, or a value that does not fit.
     """
     chosen = {} if objects is None else {"targets": list(objects)}
-    made: Task = Assembly(compose([f"task={task}", *overrides])).fresh(
-        "task", num_envs=num_envs, **chosen, **parameters
-    )
+    words = [] if task is None else [f"task={task}"]
+    made: Task = Assembly(compose([*words, *overrides])).fresh("task", num_envs=num_envs, **chosen, **parameters)
     return made

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from icub_core import __version__
-from icub_core.cli import COMMANDS, main
+from icub_core.cli import commands_by_name, main
 from icub_core.commands.completion import SCRIPTS, candidates
 from icub_core.errors import DataError, IcubError
 from icub_testing.tiny import TINY
@@ -97,7 +97,26 @@ def test_help_names_every_command(capsys):
         main(["--help"])
     assert not end.value.code
     text = capsys.readouterr().out
-    assert all(command in text for command in COMMANDS)
+    assert {"run", "train", "benchmark", "plugins", "completion"} <= set(commands_by_name())
+    assert all(command in text for command in commands_by_name())
+
+
+def test_a_third_party_s_command_is_listed_and_run_and_a_broken_one_is_one_line(install, capsys):
+    source = 'def main(words):\n    """Say what was typed."""\n    print(*words)\n    return 7\n'
+    install(
+        "echoing",
+        {"icub.command": {"echo": "echo_module:main", "broken": "no_module:main"}},
+        {"echo_module.py": source},
+    )
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "echo        Say what was typed" in capsys.readouterr().out
+    assert main(["echo", "a", "--b"]) == 7
+    assert capsys.readouterr().out == "a --b\n"
+    assert main(["broken"]) == 2
+    error = capsys.readouterr().err
+    assert "the command 'broken' (no_module:main) cannot be imported: No module named 'no_module'" in error
+    assert error.count("\n") == 1
 
 
 def test_version(capsys):

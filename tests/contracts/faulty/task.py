@@ -99,7 +99,10 @@ class DrawsUpright(TinyTask):
 
 @breaks("task", "check_close_twice")
 class ClosesOnce(TinyTask):
+    freed = False
+
     def close(self, *, raise_if_closed=False):
-        if self.is_closed:
-            raise RuntimeError("closed already")
+        if self.freed:
+            raise RuntimeError("freed already")
+        self.freed = True
         super().close()
