@@ -1,7 +1,15 @@
 """``icub train KIND=NAME``: make the weights that a plugin ships with.
 
-A plugin that can be trained has the class method of `Trainable`. It keeps everything in its run folder, checkpoints at
-least every few minutes, and goes on when it is called again with the same folder.
+A training is an entry point of the group ``icub.train``, named ``KIND.NAME``; a third party adds one with one line in
+its own pyproject::
+
+    [project.entry-points."icub.train"]
+    "feature_extractor.mine" = "my_package.training:train"
+
+It is a function ``train(run_dir: Path, seed: int, minutes: float = 60.0, progress=...)``: `run_dir` is an existing
+folder for checkpoints and the finished weights with their card; `minutes` is the wall time in all, over all
+resumptions, whose default is the command's; `progress` is to be called with the finished share (0..1) and a short text.
+It keeps checkpoints at least every few minutes, and resumes when it is called again with the same folder.
 """
 
 from __future__ import annotations
@@ -9,29 +17,17 @@ from __future__ import annotations
 import argparse
 import inspect
 import logging
+import warnings
 from collections.abc import Callable, Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from icub_core.cli import Interrupted
 from icub_core.errors import ConfigError, PluginError
 
 DEFAULT_MINUTES = 60.0
-
-
-class Trainable(Protocol):
-    """What a plugin class offers to be trained by ``icub train``."""
-
-    @classmethod
-    def train(cls, run_dir: Path, seed: int, minutes: float, progress: Callable[[float, str], None]) -> None:
-        """Train, or go on training.
-
-        Args:
-            run_dir: Existing folder for checkpoints and the finished weights with their card.
-            seed: Of everything drawn at random.
-            minutes: Wall time in all, over all resumptions. A default value becomes the command's default.
-            progress: To be called with the finished share (0..1) and a short text.
-        """
+GROUP = "icub.train"
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -65,13 +61,27 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def trainer(kind: str, name: str) -> Callable[..., None]:
-    """Return a plugin's `train`; raises PluginError when it has none."""
-    from icub_core.registry import load
+    """Return the training of a plugin; raises PluginError in one line when there is none."""
+    from icub_core.registry import load, one_line
 
-    train = getattr(load(kind, name), "train", None)
-    if not inspect.ismethod(train):
-        raise PluginError(f"{kind} '{name}' cannot be trained ahead of a run: its class has no class method 'train'")
-    return train
+    plugin = load(kind, name)
+    wanted = f"{kind}.{name}"
+    found = {entry.name: entry for entry in entry_points(group=GROUP)}
+    if wanted in found:
+        try:
+            train: Callable[..., None] = found[wanted].load()
+        except Exception as cause:
+            raise PluginError(f"the training of {kind} '{name}' cannot be imported: {one_line(cause)}") from cause
+        return train
+    method = getattr(plugin, "train", None)
+    if inspect.ismethod(method):
+        message = f"the class method 'train' of {kind} '{name}' should be an entry point '{wanted}' of the group {GROUP}"
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return method
+    known = ", ".join(sorted(found)) or "none"
+    raise PluginError(
+        f"{kind} '{name}' cannot be trained ahead of a run: there is no '{wanted}' in the group {GROUP}. Known: {known}"
+    )
 
 
 def default_minutes(train: Callable[..., None]) -> float:

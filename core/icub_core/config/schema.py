@@ -6,6 +6,7 @@ are passed as objects and never appear in a configuration.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import inspect
 import types
@@ -22,6 +23,7 @@ from omegaconf.errors import OmegaConfBaseException
 from icub_core.errors import ConfigError, PluginError, suggestion
 from icub_core.kinds import KINDS
 from icub_core.registry import available
+from icub_core.renames import renamed_parameters
 
 SCALARS = (bool, int, float, str, Path)
 RUN_SETTINGS = ("seed", "device")
@@ -57,7 +59,8 @@ def signature(kind: str, name: str, cls: type) -> Signature:
 
 @functools.cache
 def _signature(kind: str, name: str, cls: type) -> Signature:
-    constructor = cast(Callable[..., None], cls.__init__)  # type: ignore[misc]  # an instance's __init__ is never wanted here
+    # what stands behind decorators, such as `renamed`, has the annotations' own scope
+    constructor = inspect.unwrap(cast(Callable[..., None], cls.__init__))  # type: ignore[misc]
     if constructor is object.__init__:
         return Signature({}, {})
     hints = _hints(constructor)
@@ -88,11 +91,7 @@ def node_type(kind: str, name: str, cls: type) -> type:
     fields: list[tuple[str, Any, Any]] = [("plugin", str, field(default=name))]
     for parameter in signature(kind, name, cls).parameters.values():
         default = MISSING if parameter.required else parameter.default
-        if isinstance(default, (list, dict)):
-            spec = field(default_factory=functools.partial(_copy, default))
-        else:
-            spec = field(default=default)
-        fields.append((parameter.name, _for_omegaconf(parameter.annotation), spec))
+        fields.append((parameter.name, _for_omegaconf(parameter.annotation), _field(default)))
     made = make_dataclass(cls.__name__, fields)
     made.__module__ = cls.__module__
     try:
@@ -149,11 +148,14 @@ def checked_parameters(kind: str, name: str, cls: type, values: Mapping[str, Any
     """Return every parameter of a constructor with its value or default, converted to its type; raises ConfigError."""
     wanted = signature(kind, name, cls)
     node = cast(DictConfig, OmegaConf.structured(node_type(kind, name, cls)))
-    for key, value in values.items():
+    for key, value in renamed_parameters(cls, values).items():
         if key not in wanted.parameters:
             raise unknown_parameter(kind, name, key, wanted)
         try:
-            node[key] = value
+            if dataclasses.is_dataclass(wanted.parameters[key].annotation):
+                node.merge_with({key: dataclasses.asdict(value) if _is_record(value) else value})
+            else:
+                node[key] = value
         except OmegaConfBaseException as cause:
             raise wrong_type(kind, name, wanted.parameters[key], value) from cause
     missing = [key for key in wanted.parameters if OmegaConf.is_missing(node, key)]
@@ -249,7 +251,7 @@ def _is_data(annotation: Any) -> bool:
     if len(choices) > 1:
         return all(choice in SCALARS for choice in choices)
     (only,) = choices
-    if only in SCALARS or (isinstance(only, type) and issubclass(only, Enum)):
+    if only in SCALARS or (isinstance(only, type) and issubclass(only, Enum)) or dataclasses.is_dataclass(only):
         return True
     if only in (list, tuple, dict):
         return True
@@ -261,6 +263,8 @@ def _is_data(annotation: Any) -> bool:
 def _for_omegaconf(annotation: Any) -> Any:
     """Write sequences as plain lists: OmegaConf refuses nested and variadic tuples; `_restore` checks the members."""
     choices = _alternatives(annotation)
+    if dataclasses.is_dataclass(annotation):
+        return _omegaconf_class(annotation)
     if len(choices) == 1 and (typing.get_origin(choices[0]) or choices[0]) in (tuple, list):
         return list[Any] if choices[0] is annotation else list[Any] | None
     return annotation
@@ -272,6 +276,9 @@ def _restore(value: Any, annotation: Any) -> Any:
     if len(choices) > 1 or annotation is Any or (value is None and choices[0] is not annotation):
         return value
     only, members = choices[0], typing.get_args(choices[0])
+    if dataclasses.is_dataclass(only):
+        hints = typing.get_type_hints(only)
+        return only(**{key: _restore(member, hints[key]) for key, member in value.items()})  # type: ignore[operator]
     sort = typing.get_origin(only) or only
     if sort not in (tuple, list):
         return _restore_scalar(value, only)
@@ -282,6 +289,26 @@ def _restore(value: Any, annotation: Any) -> Any:
             raise TypeError
         return tuple(_restore(v, m) for v, m in zip(value, members, strict=True))
     return sort(_restore(v, members[0]) if members else v for v in value)
+
+
+@functools.cache
+def _omegaconf_class(cls: Any) -> type:
+    """Return a dataclass of the same fields that is not frozen: OmegaConf would make its nodes read-only."""
+    hints = typing.get_type_hints(cls)
+    return make_dataclass(cls.__name__, [(f.name, hints[f.name], _field(f.default)) for f in dataclasses.fields(cls)])
+
+
+def _field(value: Any) -> Any:
+    """Return a dataclass field with a default, also a mutable one."""
+    if _is_record(value):
+        return field(default_factory=functools.partial(_omegaconf_class(type(value)), **dataclasses.asdict(value)))
+    if isinstance(value, (list, dict)):
+        return field(default_factory=functools.partial(_copy, value))
+    return field(default=value)
+
+
+def _is_record(value: Any) -> bool:
+    return dataclasses.is_dataclass(value) and not isinstance(value, type)
 
 
 def _restore_scalar(value: Any, only: Any) -> Any:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class ImageFeatures:
-    """What is computed once an image.
+    """What is computed once per image.
 
     Attributes:
-        maps: Whatever the extractor needs to pool from later.
+        maps: Feature maps that regions are pooled from, in the extractor's own form.
         image_size: Height, width of the original image, pixels.
         proposals: (P, 4) float32 class-agnostic boxes, x0 y0 x1 y1 in original pixels, best first.
         scores: (P,) float32 objectness.
@@ -30,7 +30,7 @@ class ImageFeatures:
 
 @dataclass(frozen=True, eq=False)
 class RpnCells:
-    """What an on-line region proposal network learns from: one row a location of the feature maps.
+    """What an on-line region proposal network learns from: one row per feature-map location.
 
     Attributes:
         features: (L, f_r) float32.
@@ -44,12 +44,12 @@ class RpnCells:
 
 
 class FeatureExtractor(ABC):
-    """Frozen features of images, regions, pixels of regions, and (for the on-line RPN) cells.
+    """Frozen features of images, of regions and of the pixels of regions.
 
     Contract: the same image gives the same numbers; nothing is trained by being used; dimensions are constant.
 
-    An extractor with a pre-trained, class-agnostic mask branch also has
-    ``mask_probabilities(features, boxes (N, 4)) -> (N, mask_size, mask_size) in 0..1``; one without lacks the method.
+    A pre-trained mask branch and cells for an on-line region proposal network are optional abilities: see
+    `icub_core.interfaces.abilities.HasMaskBranch` and `ProposesCells`.
     """
 
     @property
@@ -82,7 +82,3 @@ class FeatureExtractor(ABC):
     def refined_boxes(self, features: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
         """Return boxes (N, 4), original pixels, after a pre-trained class-agnostic refinement, if there is one."""
         return boxes
-
-    def rpn_cells(self, features: ImageFeatures) -> RpnCells | None:
-        """Return what an on-line region proposal network learns from; None (the default) when there is no RPN."""
-        return None
