@@ -68,9 +68,9 @@ class RgbdFrame:
 
 def tight_boxes(masks: NDArray[np.bool_]) -> FloatArray:
     """Return the smallest boxes (N, 4) around masks (N, H, W), x1 and y1 exclusive; zeros for an empty mask."""
-    sides = masks.any(axis=1), masks.any(axis=2)  # occupied columns, occupied rows
+    sides: list[NDArray[np.bool_]] = [np.any(masks, axis=1), np.any(masks, axis=2)]  # occupied columns, occupied rows
     first = [side.argmax(axis=1) for side in sides]
-    last = [side.any(axis=1) * (side.shape[1] - side[:, ::-1].argmax(axis=1)) for side in sides]
+    last = [(side.shape[1] - side[:, ::-1].argmax(axis=1)) * side.max(axis=1) for side in sides]
     return np.stack([*first, *last], axis=1).astype(np.float64)
 
 

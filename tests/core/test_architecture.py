@@ -91,7 +91,12 @@ def test_pyproject_names_exactly_the_packages_of_the_tree():
 
 def test_entry_points_are_of_known_kinds_and_lead_to_classes_in_the_tree():
     groups = PROJECT["project"]["entry-points"]
-    known = {kind.entry_point_group for kind in KINDS.values()} | {"icub.configs", "icub.hooks", "icub.benchmark", "icub.train"}
+    known = {kind.entry_point_group for kind in KINDS.values()} | {
+        "icub.configs",
+        "icub.hooks",
+        "icub.benchmark",
+        "icub.train",
+    }
     assert set(groups) <= known
     for group, entries in groups.items():
         if group == "icub.configs":

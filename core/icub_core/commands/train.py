@@ -75,7 +75,9 @@ def trainer(kind: str, name: str) -> Callable[..., None]:
         return train
     method = getattr(plugin, "train", None)
     if inspect.ismethod(method):
-        message = f"the class method 'train' of {kind} '{name}' should be an entry point '{wanted}' of the group {GROUP}"
+        message = (
+            f"the class method 'train' of {kind} '{name}' should be an entry point '{wanted}' of the group {GROUP}"
+        )
         warnings.warn(message, DeprecationWarning, stacklevel=2)
         return method
     known = ", ".join(sorted(found)) or "none"

@@ -264,7 +264,7 @@ def _for_omegaconf(annotation: Any) -> Any:
     """Write sequences as plain lists: OmegaConf refuses nested and variadic tuples; `_restore` checks the members."""
     choices = _alternatives(annotation)
     if dataclasses.is_dataclass(annotation):
-        return _omegaconf_class(annotation)
+        return _omegaconf_class(cast(type, annotation))
     if len(choices) == 1 and (typing.get_origin(choices[0]) or choices[0]) in (tuple, list):
         return list[Any] if choices[0] is annotation else list[Any] | None
     return annotation
@@ -301,7 +301,9 @@ def _omegaconf_class(cls: Any) -> type:
 def _field(value: Any) -> Any:
     """Return a dataclass field with a default, also a mutable one."""
     if _is_record(value):
-        return field(default_factory=functools.partial(_omegaconf_class(type(value)), **dataclasses.asdict(value)))
+        return field(
+            default_factory=functools.partial(_omegaconf_class(cast(type, type(value))), **dataclasses.asdict(value))
+        )
     if isinstance(value, (list, dict)):
         return field(default_factory=functools.partial(_copy, value))
     return field(default=value)

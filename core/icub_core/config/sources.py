@@ -115,7 +115,7 @@ def _on_typed_node(group: str, name: str, result: ConfigResult) -> Any:
         return content
     if group in KINDS:
         values = content[group] if is_global else content
-        for old in [key for key in values if new_name(load(group, chosen), str(key))]:
+        for old in [str(key) for key in values if new_name(load(group, chosen), str(key))]:
             values.update(renamed_parameters(load(group, chosen), {old: values.pop(old)}))
     node = OmegaConf.create({group: _typed(group, chosen)})
     defaults = content.pop("defaults", None)

@@ -89,11 +89,11 @@ class FaithfulRpn(OnlineRpn):
         labels = label_anchors(cells.anchors.reshape(-1, 4), truth, size)
         self.tables["positives"].append(self._rows(cells, labels.positive))
         self._keep_regressed(cells, labels.regressed, labels.truth)
-        most = quota_per_image(self.procedure.budget, self.images + 1)
+        most = quota_per_image(self.minibootstrap.budget, self.images + 1)
         drawn = sample_per_group(labels.negative, types[labels.negative], min(most, MAX_AN_IMAGE), generator)
         self.tables["negatives"].append(self._rows(cells, drawn))
         kept = sum(len(rows) for rows in self.tables["negatives"])
-        if kept > 1.5 * self.procedure.budget * max(int(types.max()) + 1, 1):
+        if kept > 1.5 * self.minibootstrap.budget * max(int(types.max()) + 1, 1):
             self._thin_out(self.images + 1, generator)
 
     def _train_classifiers(self, generator: torch.Generator) -> tuple[Normalization, dict[int, OnlineHead]]:
@@ -107,8 +107,8 @@ class FaithfulRpn(OnlineRpn):
         for kind in positives.types.unique().tolist():
             own = torch.nonzero(positives.types == kind).flatten()
             others = torch.nonzero(negatives.types == kind).flatten()
-            others = sample(others, self.procedure.budget, generator) + len(positives)
-            head = self.procedure.train_class(self.make_head, X, own, others)
+            others = sample(others, self.minibootstrap.budget, generator) + len(positives)
+            head = self.minibootstrap.train_class(self.make_head, X, own, others)
             if head is not None:
                 heads[kind] = head
         return normalization, heads
@@ -124,7 +124,7 @@ class FaithfulRpn(OnlineRpn):
     def _thin_out(self, images: int, generator: torch.Generator) -> None:
         """Bring every image down to its share of negatives for every anchor type (Algorithm 2)."""
         rows = Rows.joined(self.tables["negatives"])
-        quota = quota_per_image(self.procedure.budget, images)
+        quota = quota_per_image(self.minibootstrap.budget, images)
         group = rows.types * (int(rows.image.max()) + 1 if len(rows) else 1) + rows.image
         kept = sample_per_group(torch.arange(len(rows)), group, quota, generator).sort().values
         self.tables["negatives"] = [rows.take(kept)]

@@ -7,6 +7,8 @@ import math
 import torch
 from torch.nn import functional
 
+from icub_core.data import tight_boxes
+
 
 def crop_masks(masks: torch.Tensor, boxes: torch.Tensor, side: int) -> torch.Tensor:
     """Sample masks (n, H, W) at the cell centers of a side x side grid on each box (n, 4): (n, side, side) in 0..1."""
@@ -45,8 +47,5 @@ def paste_masks(values: torch.Tensor, boxes: torch.Tensor, image_size: tuple[int
 
 def boxes_of_masks(masks: torch.Tensor, otherwise: torch.Tensor) -> torch.Tensor:
     """Return the tight boxes (n, 4) of masks (n, H, W) bool; an empty mask takes its row of `otherwise` (n, 4)."""
-    rows, columns = masks.any(dim=2).int(), masks.any(dim=1).int()
-    first = torch.stack([columns.argmax(dim=1), rows.argmax(dim=1)], dim=1)
-    past_last = [side.shape[1] - side.flip(1).argmax(dim=1) for side in (columns, rows)]
-    tight = torch.cat([first, torch.stack(past_last, dim=1)], dim=1).to(otherwise)
-    return torch.where(columns.any(dim=1, keepdim=True), tight, otherwise)
+    tight = torch.from_numpy(tight_boxes(masks.numpy())).to(otherwise)
+    return torch.where(masks.flatten(1).any(dim=1, keepdim=True), tight, otherwise)
