@@ -29,7 +29,7 @@ def renamed(**names: str) -> Callable[[Class], Class]:
         def with_old_names(self: Any, *arguments: Any, **values: Any) -> None:
             constructor(self, *arguments, **renamed_parameters(cls, values))
 
-        cls.renamed_parameters = names  # type: ignore[attr-defined]
+        with_old_names.renamed_parameters = names  # type: ignore[attr-defined]
         cls.__init__ = with_old_names  # type: ignore[misc]
         return cls
 
@@ -38,7 +38,8 @@ def renamed(**names: str) -> Callable[[Class], Class]:
 
 def new_name(cls: type, name: str) -> str | None:
     """Return what a parameter that was called `name` is called now; None if that is no old name."""
-    names: Mapping[str, str] = getattr(cls, "renamed_parameters", {})
+    # kept by the constructor, since a subclass with a constructor of its own has other parameters
+    names: Mapping[str, str] = getattr(cls.__init__, "renamed_parameters", {})  # type: ignore[misc]
     return names.get(name)
 
 

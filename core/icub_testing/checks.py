@@ -77,18 +77,14 @@ def _interface_check(kind: str) -> Check:
 
 def _signature_check(kind: str) -> Check:
     def check_signature(make: Make) -> None:
-        """Its constructor's signature is a configuration: simple types, fitting defaults, at most 8 parameters."""
+        """Its constructor's signature is a configuration: simple types and defaults that fit them."""
         from icub_core.config.schema import checked_parameters, signature
 
         cls = type(make())
         wanted = signature(kind, cls.__name__, cls)
-        if len(wanted.parameters) > MAX_PARAMETERS:
-            raise ContractError(f"expected at most {MAX_PARAMETERS} parameters; got {len(wanted.parameters)}")
         given = {key for key, parameter in wanted.parameters.items() if parameter.required}
         if not given:
             checked_parameters(kind, cls.__name__, cls, {})
 
     return check_signature
 
-
-MAX_PARAMETERS = 8
