@@ -87,4 +87,3 @@ def _signature_check(kind: str) -> Check:
             checked_parameters(kind, cls.__name__, cls, {})
 
     return check_signature
-

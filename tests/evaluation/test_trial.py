@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import time
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from icub_benchmarks.segmentation import run as benchmark
 from icub_benchmarks.segmentation.head_clock import heads_share
 from icub_benchmarks.segmentation.trial import Trial, run_trial
 from icub_benchmarks.segmentation.trial_report import markdown_table, plot_over_time
@@ -125,24 +125,13 @@ def test_nothing_to_learn_or_to_examine_is_refused():
         run_trial(ByColor(), Squares([["red"]]), Squares([]), lambda share, text: None)
 
 
-@pytest.fixture(scope="module")
-def benchmark():
-    path = Path(__file__).parents[2] / "benchmarks" / "segmentation.py"
-    spec = importlib.util.spec_from_file_location("segmentation_benchmark", path)
-    module = importlib.util.module_from_spec(spec)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(path.parent))  # as when it is run as a script
-        spec.loader.exec_module(module)
-        yield module
-
-
 def trial_with(map50, update_seconds, map70=0.5):
     from icub_core.evaluation.detection import DetectionMetrics
 
     return Trial(DetectionMetrics(map50, map70, map50, map70), 2.0, update_seconds, {"detection": 0.1}, 0.05, 9, 9)
 
 
-def test_the_benchmark_reports_means_deviations_and_ratios_run_by_run(benchmark):
+def test_the_benchmark_reports_means_deviations_and_ratios_run_by_run():
     from icub_benchmarks.segmentation.trials import Run
 
     def runs(*trials):
@@ -163,7 +152,7 @@ def test_the_benchmark_reports_means_deviations_and_ratios_run_by_run(benchmark)
     assert figures["segmentation.heads_share"].value == pytest.approx(0.1)
 
 
-def test_a_method_is_a_configuration_and_some_columns_of_the_features(benchmark):
+def test_a_method_is_a_configuration_and_some_columns_of_the_features():
     method = benchmark.Method("few", "falkon,segmenter.procedure.jittered_boxes=2,features=0:256")
     segmenter = method.segmenter(method.config(0, "cpu", "tabletop", Path()))
     assert segmenter.procedure.jittered_boxes == 2 != Procedure().jittered_boxes
@@ -201,15 +190,13 @@ def test_the_share_of_the_heads_is_the_time_in_their_decision_functions():
     assert 0 < share < 0.5
 
 
-def test_the_benchmark_names_unknown_tasks_and_methods(benchmark, capsys):
+def test_the_benchmark_names_unknown_tasks_and_methods(capsys):
     assert benchmark.main(["--tasks", "tabeltop"]) == 1
     assert "Did you mean 'tabletop'" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.slow
-def test_the_quick_benchmark_measures_the_figures_that_are_to_be_reached_and_goes_on_where_it_stopped(
-    benchmark, tmp_path
-):
+def test_the_quick_benchmark_measures_the_figures_that_are_to_be_reached_and_goes_on_where_it_stopped(tmp_path):
     arguments = ["--quick", "--tasks", "tabletop", "--work", str(tmp_path / "work"), "--out", str(tmp_path / "s.json")]
     assert benchmark.main([*arguments, "--methods", "ours", "o_os"]) == 0
     trials = {file: file.stat().st_mtime_ns for file in (tmp_path / "work").iterdir()}

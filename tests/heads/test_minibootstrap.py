@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.minibootstrap import Minibootstrap, one_vs_rest
+from icub_testing.tiny import tiny_class
 
 
 def samples(seed, classes=3, each=15, background=80, dim=8):
@@ -74,3 +75,22 @@ def test_shared_rounds_add_the_hard_negatives_of_every_batch_and_no_others(selec
     assert all(5 < count < 95 for count in added), "every batch has hard negatives and others"
     trained = Minibootstrap(5, 100).train_shared(make, X, label, negatives, 3)
     torch.testing.assert_close(trained.decision_function(X), fitted(chosen).decision_function(X), atol=1e-6, rtol=0)
+
+
+def test_shared_rounds_of_a_head_without_a_shared_kernel_fit_all_that_was_hard():
+    X, label = samples(3, background=600)
+    X = X.float()
+    positives, negatives = torch.nonzero(label >= 0).flatten(), torch.nonzero(label < 0).flatten()
+    Y, make = one_vs_rest(label, 3), tiny_class("online_head")
+    first, *rest = negatives[:500].split(100)
+    chosen = torch.cat([positives, first])
+    for batch in rest:
+        head = make()
+        head.fit(X[chosen], Y[chosen])
+        hard = (head.decision_function(X[batch]) > -0.7).any(dim=1)
+        assert 5 < int(hard.sum()) < 95
+        chosen = torch.cat([chosen, batch[hard]])
+    expected = make()
+    expected.fit(X[chosen], Y[chosen])
+    trained = Minibootstrap(5, 100).train_shared(make, X, label, negatives, 3)
+    assert torch.equal(trained.decision_function(X), expected.decision_function(X))

@@ -1,8 +1,8 @@
-"""Pasting taught objects into images of clutter, so that a showing against one wall teaches more than that wall.
+"""Copy-paste augmentation: taught objects are pasted into images of clutter.
 
-Held in front of one background under one lamp, an object is learned together with both, and nothing shows what it is
-not. Here its pixels are put, turned, resized and re-lit, into images of other things: more backgrounds for its
-positives, and the clutter's regions become negatives.
+An object that is shown in front of one background under one lamp would be learned together with both. Here its pixels
+are pasted, rotated, resized and re-lit, into images of other things: positives get more backgrounds, and regions of the
+clutter become negatives.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ class Cutout:
 
 @dataclass(frozen=True, eq=False)
 class Composite:
-    """A made image.
+    """A composite image.
 
     Attributes:
         rgb: (H, W, 3) uint8.
-        instances: What of the taught objects is visible, (label, (H, W) bool) each.
-        distractors: What of other objects is visible, (H, W) bool each: the negatives that matter.
+        instances: Visible parts of the taught objects, (label, (H, W) bool) each.
+        distractors: Visible parts of other objects, (H, W) bool each: hard negatives.
     """
 
     rgb: NDArray[np.uint8]
@@ -69,7 +69,7 @@ class ClutterPicture:
 
 
 class Compositor:
-    """Makes images of a taught object, and at times of others taught before, among clutter."""
+    """Makes images of a taught object among clutter, at times beside objects that were taught before."""
 
     def __init__(self, pictures: list[ClutterPicture], look_alikes: float = STANDARD.look_alikes) -> None:
         """Take images that show no taught object; their objects are pasted as distractors.
@@ -196,7 +196,7 @@ def shaded(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8
 
 
 def transformed(cutout: Cutout, size: tuple[int, int], rng: np.random.Generator) -> Cutout:
-    """Turn, resize, mirror no side, and re-light a cut-out for an image of (height, width)."""
+    """Rotate, resize and re-light a cut-out for an image of (height, width)."""
     h, w = cutout.mask.shape
     longest = max(rng.uniform(*(SIDE_SHARES if cutout.label else DISTRACTORS_SIDE_SHARES)) * size[0], MIN_SIDE)
     scale = longest / max(h, w)

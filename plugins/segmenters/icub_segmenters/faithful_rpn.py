@@ -1,4 +1,4 @@
-"""On-line region proposals by Algorithm 2: one Minibootstrap an anchor type.
+"""On-line region proposals by Algorithm 2: one Minibootstrap per anchor type.
 
 Source: thesis 11.3.2 and Algorithm 2. Decisions where thesis and released code differ: regressors learn from anchors
 of IoU above 0.6, as the thesis says; negatives are drawn without replacement, so that appendix D holds.
@@ -24,10 +24,10 @@ MAX_AN_IMAGE = 200
 
 @dataclass(frozen=True, eq=False)
 class AnchorLabels:
-    """What one image teaches: rows of (cell, anchor of the cell).
+    """The anchors of one image that classifiers and regressors learn from.
 
     Attributes:
-        positive, negative: (n,) flat numbers, cell x anchors a cell + anchor.
+        positive, negative: (n,) flat numbers, cell x anchors per cell + anchor.
         regressed: (n,) flat numbers of anchors that a regressor learns from.
         truth: (n, 4) their true boxes.
     """
@@ -41,7 +41,7 @@ class AnchorLabels:
 def label_anchors(anchors: torch.Tensor, truth: torch.Tensor, size: tuple[int, int]) -> AnchorLabels:
     """Compare the anchors of an image with its true boxes.
 
-    An anchor that leaves the image teaches nothing. Positive: IoU above 0.7 with a true box, and for a true box
+    Anchors that leave the image are not used. Positive: IoU above 0.7 with a true box, and for a true box
     without such an anchor those of highest IoU. Negative: IoU below 0.3 with all true boxes.
 
     Args:
@@ -62,7 +62,7 @@ def label_anchors(anchors: torch.Tensor, truth: torch.Tensor, size: tuple[int, i
 
 
 def best_of_missed(highest: torch.Tensor, best: torch.Tensor, count: int) -> torch.Tensor:
-    """Say which anchors (n,) are the best of a true box that no anchor overlaps by more than 0.7.
+    """Return which anchors (n,) are the best of a true box that no anchor overlaps by more than 0.7.
 
     Args:
         highest: (n,) largest IoU of each anchor.
@@ -79,7 +79,7 @@ def best_of_missed(highest: torch.Tensor, best: torch.Tensor, count: int) -> tor
 
 
 class FaithfulRpn(OnlineRpn):
-    """One classifier an anchor type, each with its own samples, centers and Minibootstrap."""
+    """One classifier per anchor type, each with its own samples, centers and Minibootstrap."""
 
     TABLES = ("positives", "negatives", "regressed")
     box_penalty = 0.01  # the thesis's value for normalized features

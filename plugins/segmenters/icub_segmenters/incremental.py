@@ -1,4 +1,4 @@
-"""Classes that are taught after others: only their own classifiers are trained, the others stay as they are.
+"""Incremental classes: only the classifiers of new classes are trained, the others stay as they are.
 
 The thesis trains all classes again when one comes (11.8.1), because an old class may take the new object for its own.
 Here old classes yield to the new one in regions that it claims with more right, and move nowhere else.
@@ -30,7 +30,7 @@ class Addition:
     head: OnlineHead
 
     def apply(self, scores: torch.Tensor, X: torch.Tensor) -> None:
-        """Write the scores of X (n, d) to the columns of `scores` (n, classes); older classes yield, in place.
+        """Write the scores of X (n, d) to the columns of `scores` (n, classes) and lower those of older classes, in place.
 
         Where a new class is positive and above an older one, that one's score falls to minus the new one's.
         """

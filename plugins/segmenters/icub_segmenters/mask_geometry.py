@@ -1,4 +1,4 @@
-"""Between masks of images and the small square grids in which regions are classified pixel by pixel."""
+"""Conversion between masks of images and the square grids in which the pixels of a region are classified."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def paste_masks(values: torch.Tensor, boxes: torch.Tensor, image_size: tuple[int
     """Draw grids of values (n, s, s) into their boxes (n, 4): (n, H, W) bool, true above 0.5.
 
     Every pixel whose center lies in the box is interpolated bilinearly between cell centers. Boxes are not rounded, so
-    masks do not wander by half a pixel as with the integer boxes of the released code.
+    masks are not shifted by half a pixel as with the integer boxes of the released code.
     """
     height, width = image_size
     pasted = torch.zeros(len(values), height, width, dtype=torch.bool)

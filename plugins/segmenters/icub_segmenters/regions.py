@@ -1,4 +1,4 @@
-"""Turning an annotated image into regions to learn from."""
+"""Regions of an annotated image that the detector is trained on."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ KEPT_NEGATIVES = 40
 def assign(
     boxes: torch.Tensor, truth: torch.Tensor, truth_label: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Say which class each box belongs to.
+    """Return the class that each box belongs to.
 
     Args:
         boxes: (n, 4).

@@ -1,7 +1,7 @@
 """On-line region proposals for all anchor types of a cell at once: a documented variation, much faster.
 
-The thesis trains one classifier an anchor type (`FaithfulRpn`). With the few frames of a showing many types have hardly
-a positive, and their classifiers cannot be compared with one another. Here a cell is a sample, and how well each of its
+The thesis trains one classifier per anchor type (`FaithfulRpn`). With few taught frames many types have hardly a
+positive, and their classifiers cannot be compared with one another. Here a cell is a sample, and how well each of its
 anchors covers an object is what is predicted: -1 up to an IoU of 0.3, +1 from 0.7, linear between. All types of a
 cell share samples, centers and factorization.
 """

@@ -115,7 +115,9 @@ def make_batch(
         masks = (instances[None] == torch.arange(1, len(sample.labels) + 1, dtype=torch.uint8)[:, None, None]).byte()
         images.append(torch.from_numpy(sample.rgb).permute(2, 0, 1))
         labels = torch.from_numpy(sample.labels)
-        targets.append({"boxes": boxes_of_masks(masks, torch.zeros(len(masks), 4)), "labels": labels, "masks": masks})
+        targets.append(
+            {"boxes": boxes_of_masks(masks.bool(), torch.zeros(len(masks), 4)), "labels": labels, "masks": masks}
+        )
     return torch.stack(images), targets
 
 

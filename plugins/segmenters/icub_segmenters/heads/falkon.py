@@ -84,7 +84,7 @@ class Falkon(OnlineHead):
         sample_weight: torch.Tensor | None = None,
         centers: torch.Tensor | None = None,
     ) -> None:
-        """Train on X (n, d) and Y (n, t), forgetting what was before.
+        """Train on X (n, d) and Y (n, t) alone; an earlier fit has no influence.
 
         Args:
             X: Samples.
@@ -122,7 +122,7 @@ class Falkon(OnlineHead):
         return NystromSystem(centers.to(self.device), self.kernel, problems, self.penalty)
 
     def adopt(self, system: KernelSystem) -> None:
-        """Solve a system of `kernel_system` and take over its solution."""
+        """Solve a system that `kernel_system` made and use its solution."""
         if not isinstance(system, NystromSystem):
             raise DataError(f"falkon got a {type(system).__name__}; expected a system that `kernel_system` made")
         self._set(system.centers, system.solve(), system)

@@ -103,12 +103,12 @@ class NystromSystem:
             return self.kernel(X.to(self.centers), self.centers, self.center_squares, out)
 
     def scores(self, K: torch.Tensor) -> torch.Tensor:
-        """Return the scores (n, t) of samples with kernel rows K (n, M), from all samples taken in so far."""
+        """Return the scores (n, t) of samples with kernel rows K (n, M), from all samples added so far."""
         with fast_products(self.centers.device):
             return K @ self.solve()
 
     def add(self, X: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
-        """Take in samples X (n, d) with targets Y (n, t), in blocks."""
+        """Add samples X (n, d) with targets Y (n, t), in blocks."""
         buffer = None
         for block in row_blocks(len(X), len(self.centers), self.centers.element_size()):
             count = block.stop - block.start
@@ -118,7 +118,7 @@ class NystromSystem:
             self.add_rows(self.rows(X[block], buffer[:count]), Y[block], weight)
 
     def add_rows(self, K: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
-        """Take in samples whose kernel rows K (n, M) are known; K is used up as working memory."""
+        """Add samples whose kernel rows K (n, M) are known; K is overwritten."""
         if len(K) == 0:
             return
         self._solution = None
