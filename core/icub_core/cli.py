@@ -32,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
         prog="icub",
         usage="icub [-h] [--version] COMMAND ...",
-        description=f"See, grasp, compose: perception and grasping for the iCub.\n\ncommands:\n{commands}",
+        description=f"Perception and grasping for the iCub, composed of plugins.\n\ncommands:\n{commands}",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -203,13 +203,12 @@ def check_gaze(make: Make) -> None:
     """Gaze control, where there is any, turns only some joints, within their limits, and answers out of reach too."""
     robot: Robot = make()
     d = robot.description
-    gazing: object = robot
-    if not isinstance(gazing, HasGaze):
+    if not isinstance(robot, HasGaze):
         return
     camera = d.camera().name
     for point in ([-0.4, 0.0, 1.0], [-0.3, 0.2, 1.1], [5.0, 0.0, 1.0]):
         start = d.home_q
-        answer = gazing.gaze(np.array(point), start, camera)
+        answer = robot.gaze(np.array(point), start, camera)
         inside = (answer.q >= d.lower - 1e-9) & (answer.q <= d.upper + 1e-9)
         expect(inside.all(), "joints within their limits", [d.joint_names[i] for i in np.nonzero(~inside)[0]])
         expect_same(start, d.home_q, "the start before and after")
@@ -222,12 +221,11 @@ def check_collisions(make: Make) -> None:
     """A collision check, where there is any, finds nothing at home, and the table when the hand is in it."""
     robot: Robot = make()
     d = robot.description
-    checking: object = robot
-    if not isinstance(checking, ChecksCollisions):
+    if not isinstance(robot, ChecksCollisions):
         return
-    touching = checking.collisions(d.home_q, Table())
+    touching = robot.collisions(d.home_q, Table())
     expect(touching == (), "no contacts at home", touching)
     hand = robot.forward_kinematics(d.home_q, _hand(robot))[:3, 3]
     around_the_hand = Table(center=(float(hand[0]), float(hand[1]), float(hand[2])))
-    found = checking.collisions(d.home_q, around_the_hand)
+    found = robot.collisions(d.home_q, around_the_hand)
     expect(any("table" in pair for pair in found), "a contact with a table around the hand", found or "none")

@@ -54,7 +54,8 @@ class Signature:
 
 def _read_signature(kind: str, name: str, cls: type) -> Signature:
     """Read the constructor of a plugin; raises PluginError for a type that a configuration cannot hold."""
-    constructor = cast(Callable[..., None], cls.__init__)  # type: ignore[misc]  # an instance's __init__ is never wanted here
+    # what stands behind decorators, such as `renamed`, has the annotations' own scope
+    constructor = inspect.unwrap(cast(Callable[..., None], cls.__init__))  # type: ignore[misc]
     if constructor is object.__init__:
         return Signature({}, {})
     hints = _hints(constructor)
