@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from contextlib import ExitStack
 from typing import Any
 
 from icub_core.config.schema import is_factory, signature
@@ -93,8 +94,9 @@ class Assembly:
         return name, parameters, dependencies
 
     def close(self) -> None:
-        """Close every plugin that was built here and holds something open."""
-        for kind in list(self._built):
-            built = self._built.pop(kind)
-            if isinstance(built, Closable):
-                built.close()
+        """Close every plugin that was built here and holds something open; one that fails leaves no other open."""
+        with ExitStack() as closing:
+            for built in self._built.values():
+                if isinstance(built, Closable):
+                    closing.callback(built.close)
+            self._built.clear()
