@@ -33,6 +33,9 @@ class Plugins(Protocol):
     def choose(self, kind: str, name: str) -> None:
         """Choose a plugin for a kind that the configuration leaves out."""
 
+    def takes(self, kind: str) -> Mapping[str, Any]:
+        """Return what the constructor of the chosen plugin of a kind takes: name to default."""
+
     def get(self, kind: str) -> Any:
         """Return the run's instance of a kind."""
 

@@ -26,12 +26,12 @@ def task() -> TinyTask:
 
 @pytest.fixture(params=["gpayn", "resprect"])
 def policy(request, base_file):
-    """Learn for 400 control steps with 20 to be evaluated after, in a few seconds."""
+    """A learner of 400 control steps that is evaluated before, after every hundred, and at the end."""
     if request.param == "gpayn":
-        made = Gpayn(hidden=16, seconds=None, env_steps=400, demonstrations=4)
+        made = Gpayn(hidden=16, seconds=None, env_steps=400, demonstrations=4, updates_per_step=0.1)
         warm_up = {"imitation_updates": 3, "warm_up_updates": 4, "critic_updates": 10}
     else:
-        made = Resprect(base=str(base_file), seconds=None, env_steps=400, warm_up_steps=80)
+        made = Resprect(base=str(base_file), seconds=None, env_steps=400, warm_up_steps=80, updates_per_step=0.1)
         warm_up = {"critic_updates": 10}
     made.settings = replace(made.settings, evaluate_every=100, evaluation_episodes=4, **warm_up)
     return made

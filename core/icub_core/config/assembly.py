@@ -48,6 +48,12 @@ class Assembly:
         """Choose a plugin, with its defaults, for a kind that the configuration leaves out."""
         self._config = {str(key): self._config.get(key) for key in self._config} | {kind: {"plugin": name}}
 
+    def takes(self, kind: str) -> dict[str, Any]:
+        """Return what the constructor of the chosen plugin of a kind takes: name to default."""
+        name, _ = split_config(kind, self._config.get(get_kind(kind).name))
+        wanted = signature(kind, name, load(kind, name))
+        return {key: parameter.default for key, parameter in {**wanted.parameters, **wanted.dependencies}.items()}
+
     def get(self, kind: str) -> Any:
         """Return the run's instance of a kind.
 
