@@ -25,8 +25,8 @@ def load(kind: str, name: str, *, overrides: Sequence[str] = (), **parameters: A
         **parameters: Of the plugin's constructor.
 
     Raises:
-        PluginError: No such plugin, or one that cannot be imported.
-        ConfigError: A parameter that does not exist, or a value that does not fit.
+        ConfigError: No such plugin or parameter, or a value that does not fit.
+        PluginError: A plugin that cannot be imported.
     """
     return Assembly(compose([f"{kind}={name}", *overrides])).fresh(kind, **parameters)
 
@@ -49,8 +49,8 @@ def make_env(
         **parameters: Of the task's constructor.
 
     Raises:
-        PluginError: No such task, or a plugin that cannot be imported.
-        ConfigError: A parameter that does not exist, or a value that does not fit.
+        ConfigError: No such task or parameter, or a value that does not fit.
+        PluginError: A plugin that cannot be imported.
     """
     chosen = {} if objects is None else {"targets": list(objects)}
     words = [] if task is None else [f"task={task}"]

@@ -396,6 +396,8 @@ def test_entry_points_are_of_known_groups_and_lead_into_the_tree():
     assert _defined(groups.pop("icub.configs")["icub"])
     for old, new in {**groups.pop("icub.alias"), **groups.pop("icub.alias.permanent", {})}.items():
         assert _defined(new), f"{old}: {new}"
+        assert old.startswith(f"{CORE}."), f"{old} is no name of before"
+        assert not _defined(old), f"{old} is still there"
     for name, task in groups.pop("icub.gymnasium").items():
         assert task in groups["icub.task"], name
     for name in groups["icub.train"]:

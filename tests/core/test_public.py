@@ -43,7 +43,7 @@ def test_plugins_and_composition_are_one_line(tmp_path):
     assert isinstance(segmenter, icub.Segmenter)
     with pytest.raises(icub.ConfigError, match="has no parameter 'rte'. Did you mean 'rate'"):
         icub.load("policy", "demonstrations", rte=50.0)
-    with pytest.raises(icub.PluginError, match="no policy plugin named 'demonstration'"):
+    with pytest.raises(icub.ConfigError, match="no policy plugin named 'demonstration'. Did you mean"):
         icub.load("policy", "demonstration")
 
 
