@@ -134,7 +134,7 @@ def check_refined_boxes(make: Make) -> None:
 
 def check_mask_probabilities(make: Make) -> None:
     """A pre-trained mask branch, where there is one, gives a probability for each pixel of a box."""
-    plugin = make()
+    plugin: FeatureExtractor = make()
     if not isinstance(plugin, HasMaskBranch):
         return
     masks = plugin.mask_probabilities(plugin.extract(_image()), _boxes())
@@ -144,7 +144,7 @@ def check_mask_probabilities(make: Make) -> None:
 
 def check_rpn_cells(make: Make) -> None:
     """Cells for an on-line region proposal network, where there are any, agree in number with their anchors."""
-    plugin = make()
+    plugin: FeatureExtractor = make()
     if not isinstance(plugin, ProposesCells):
         return
     cells = plugin.rpn_cells(plugin.extract(_image()))

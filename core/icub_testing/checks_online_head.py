@@ -74,7 +74,8 @@ def check_score_meaning(make: Make) -> None:
 
 def check_shares_kernel(make: Make) -> None:
     """A head that shares its kernel gives the scores of `fit` when its system is filled step by step."""
-    head, (X, Y) = make(), _data()
+    head: OnlineHead = make()
+    X, Y = _data()
     if not isinstance(head, SharesKernel):
         return
     chosen = head.choose_centers(Y)
