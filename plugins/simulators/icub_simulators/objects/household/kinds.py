@@ -107,8 +107,8 @@ def _pan(rng: Rng) -> Part:
     """Build a low pan with a straight handle."""
     radius, height, length = rng.uniform(0.055, 0.075), rng.uniform(0.028, 0.045), rng.uniform(0.09, 0.13)
     dish = hollow([(radius * rng.uniform(0.8, 0.95), 0.0), (radius, height)], 0.005)
-    grip = [(radius - 0.006, 0.0, 0.75 * height), (radius + length, 0.0, height + rng.uniform(0.0, 0.02))]
-    return joined([dish, rod(*grip, 0.007, 0.01)])
+    end = (radius + length, 0.0, height + rng.uniform(0.0, 0.02))
+    return joined([dish, rod((radius - 0.006, 0.0, 0.75 * height), end, 0.007, 0.01)])
 
 
 def _goblet(rng: Rng) -> Part:
@@ -151,27 +151,17 @@ def _wrench(rng: Rng) -> Part:
     for side in (-1.0, 1.0):
         gap = width * rng.uniform(0.35, 0.6)
         for s in (-1.0, 1.0):
-            prong = [(0.0, 0.0), (0.0, s * 2.4 * gap), (side * 2.2 * gap, s * 2.2 * gap), (side * 2.6 * gap, s * gap)]
-            prong.append((side * 0.7 * gap, s * gap))
-            parts.append(prism(prong[1:], thick).moved(x=side * length / 2))
-        neck = block(1.4 * gap, 4.4 * gap, thick).moved(x=side * length / 2)
-        parts.append(neck)
+            prong = [(0.0, s * 2.4), (side * 2.2, s * 2.2), (side * 2.6, s), (side * 0.7, s)]
+            parts.append(prism(gap * np.array(prong), thick).moved(x=side * length / 2))
+        parts.append(block(1.4 * gap, 4.4 * gap, thick).moved(x=side * length / 2))
     return joined(parts)
 
 
 def _screwdriver(rng: Rng) -> Part:
     """Build an eight-sided handle with a waist, a shaft and a flat blade."""
     radius, grip, shaft = rng.uniform(0.012, 0.017), rng.uniform(0.08, 0.1), rng.uniform(0.06, 0.11)
-    handle = revolved(
-        [
-            (0.7 * radius, 0.0),
-            (radius, 0.012),
-            (radius, 0.6 * grip),
-            (0.65 * radius, 0.8 * grip),
-            (0.85 * radius, grip),
-        ],
-        sides=8,
-    )
+    waist = [(radius, 0.75 * grip), (0.65 * radius, 0.88 * grip), (0.85 * radius, grip)]
+    handle = revolved([(0.7 * radius, 0.0), (radius, 0.012), *waist], sides=8)
     end = grip + shaft
     blade = hull(
         np.array(
@@ -205,12 +195,15 @@ def _dumbbell(rng: Rng) -> Part:
     return joined([upper, upper.moved(z=bar + thick), bar_part])
 
 
-def _bulb(rng: Rng) -> Part:
-    """Build a light bulb with its screw."""
-    radius, neck, screw = rng.uniform(0.028, 0.036), rng.uniform(0.012, 0.015), rng.uniform(0.022, 0.03)
-    middle = screw + 1.5 * radius
-    globe = [(radius * np.cos(t), middle + radius * np.sin(t)) for t in np.linspace(-0.9, 1.4, 8)]
-    return revolved([(0.5 * neck, 0.0), (neck, 0.004), (neck, screw), *globe])
+def _stapler(rng: Rng) -> Part:
+    """Build an open stapler: a base, an arm above it and a hinge behind."""
+    length, width, gap = rng.uniform(0.1, 0.15), rng.uniform(0.026, 0.038), rng.uniform(0.02, 0.035)
+    base = block(length, width, 0.012)
+    back, front, side = -0.5 * length, 0.5 * length, 0.42 * width
+    tail = [(back, s * side, z) for s in (-1, 1) for z in (0.02, 0.042)]
+    nose = [(front, s * 0.8 * side, z + gap) for s in (-1, 1) for z in (0.012, 0.03)]
+    hinge = block(0.22 * length, width, 0.034).moved(x=-0.39 * length)
+    return joined([base, hull(np.array([*tail, *nose])), hinge])
 
 
 def _car(rng: Rng) -> Part:
@@ -264,12 +257,12 @@ STANDING: dict[str, Callable[[Rng], Part]] = {
     "mug": _mug,
     "pan": _pan,
     "spray": _spray,
+    "stapler": _stapler,
     "teapot": _teapot,
 }
 """Kinds that stand as they are built."""
 LYING: dict[str, Callable[[Rng], Part]] = {
     "brush": _brush,
-    "bulb": _bulb,
     "dumbbell": _dumbbell,
     "hammer": _hammer,
     "screwdriver": _screwdriver,

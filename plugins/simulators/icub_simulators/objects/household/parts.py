@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Profile = Sequence[tuple[float, float]]
 """(radius, height) from the bottom upwards."""
-Outline = Sequence[tuple[float, float]]
+Outline = Sequence[tuple[float, float]] | FloatArray
 """(x, y) corners of a convex polygon."""
 
 SIDES = 24
