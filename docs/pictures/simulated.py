@@ -86,11 +86,13 @@ def cameras() -> None:
 
 
 def objects() -> None:
-    """The eight YCB primitives, and random objects resized for the hand."""
+    """The eight YCB primitives, household things, and random objects resized for the hand."""
     random = registry.build("objects", {"plugin": "random1000", "graspable": True})
+    household = registry.build("objects", "household")
     lamp = Light(direction=(-0.5, -0.5, -1.0), diffuse=(0.6, 0.6, 0.6), ambient=(0.42, 0.42, 0.42))
     for name, items in (
         ("objects_ycb_primitives", ycb()),
+        ("objects_household", [household.get(n) for n in household.names[5::18]]),
         ("objects_random1000", [random.get(n) for n in random.names[:96:12]]),
     ):
         simulator = registry.build("simulator", "mujoco")
