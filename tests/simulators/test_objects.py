@@ -190,7 +190,7 @@ def test_household_things_have_the_length_that_is_asked_for():
 
 
 def test_no_household_thing_has_a_shape_of_a_training_set():
-    """Training sets hold boxes, cylinders and ellipsoids: convex, and filling 1, pi/4 and pi/6 of the box around them."""
+    """Training sets hold boxes, cylinders and ellipsoids: convex, and 1, pi/4 and pi/6 of the box around them."""
     for name in Household().names:
         spec = Household().get(name)
         pieces = household_pieces(spec)
