@@ -24,7 +24,7 @@ class Main(Pipeline):
         teach: What is taught.
         see: How the segmenter is evaluated.
         grasp: What is grasped, and how often.
-        scripted_policy: Carries planned grasps out when neither a segmenter nor a policy was chosen.
+        scripted_policy: Policy that carries planned grasps out when neither a segmenter nor a policy was chosen.
     """
 
     def __init__(
@@ -32,14 +32,14 @@ class Main(Pipeline):
         teach: TeachSettings = TeachSettings(),  # noqa: B008 - frozen
         see: SeeSettings = SeeSettings(),  # noqa: B008 - frozen
         grasp: GraspSettings = GraspSettings(),  # noqa: B008 - frozen
-        scripted_policy: str = "demonstrations",
+        scripted_policy: str | None = None,
     ) -> None:
         self._teach, self._see, self._grasp, self._scripted = teach, see, grasp, scripted_policy
 
     def stages(self, run: Run) -> tuple[Stage, ...]:
         """Return teach, learn, see, plan, grasp; what cannot work is refused before anything starts."""
         plugins = run.plugins
-        if not plugins.chosen("segmenter") and not plugins.chosen("policy"):
+        if self._scripted and not plugins.chosen("segmenter") and not plugins.chosen("policy"):
             plugins.choose("policy", self._scripted)
             run.note(
                 f"no policy was chosen: planned grasps are carried out by '{self._scripted}'; +policy=NAME learns to"
