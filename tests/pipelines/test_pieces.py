@@ -1,3 +1,4 @@
+import io
 import json
 
 import imageio.v3 as iio
@@ -5,6 +6,7 @@ import numpy as np
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rich.console import Console
 from tensordict import TensorDict
 
 from icub_core.appearance import random_lights, random_surface
@@ -13,6 +15,7 @@ from icub_core.geometry import is_rigid
 from icub_core.hooks import Events, listen
 from icub_core.interfaces.task import RUNNING, SUCCESS
 from icub_core.scene import Geom, ObjectSpec
+from icub_pipelines.console import ConsoleView
 from icub_pipelines.grasping import Announcer
 from icub_pipelines.images import contact_sheet, draw_instances, save_animation, save_image
 from icub_pipelines.report import write_report
@@ -91,6 +94,7 @@ def test_listeners_hear_episodes_and_their_steps():
     announce = Announcer(Events([listener]), 5, ("running", "success", "fell"))
     for reward, reason in ((0.0, RUNNING), (2.0, SUCCESS)):
         step = {"action": torch.zeros(15), "reward": torch.tensor([reward]), "reason": torch.tensor([reason])}
+        step["success"] = torch.tensor([reason == SUCCESS])
         announce.record(3, TensorDict(step, []))
     assert listener.heard == [
         ("start", 3, 5), ("step", 0.0, (15,)), ("step", 2.0, (15,)), ("end", 3, True, 2, "success"),
@@ -107,3 +111,17 @@ def test_report_is_one_file_with_escaped_text(tmp_path):
     assert "&lt;b&gt;note" in text
     assert "src='p.png'" not in text
     assert json.dumps(0.5) in text
+
+
+def test_the_terminal_is_free_while_the_user_is_asked_and_shows_what_is_done_meanwhile():
+    screen = Console(file=io.StringIO(), force_terminal=True, width=100)
+    view = ConsoleView(screen)
+    events = Events([view])
+    with events.stage("converse"):
+        assert view._progress is None, "a bar that is drawn anew would overwrite the prompt"
+        with events.stage("teach") as progress:
+            progress(0.5, "half of the images")
+        assert view._progress is None
+    assert "teach" in screen.file.getvalue()
+    assert "half of the images" in screen.file.getvalue()
+    assert events.wants("icub_stage_start"), "a listener that fails would have been removed"

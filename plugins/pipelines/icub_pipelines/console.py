@@ -11,6 +11,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 from rich.table import Table
 
 from icub_core.hooks import listen
+from icub_pipelines.conversation import STAGE as CONVERSATION
 from icub_pipelines.report import formatted
 
 CLOSING_FIGURES = (
@@ -39,7 +40,9 @@ class ConsoleView:
 
     @listen
     def icub_stage_start(self, stage: str) -> None:
-        """Draw a line that moves until the stage ends; between stages the terminal is free, for questions say."""
+        """Draw a line that moves until the stage ends, unless the stage asks the user something meanwhile."""
+        if stage == CONVERSATION:
+            return
         self._progress = Progress(
             SpinnerColumn(finished_text="[green]✓"),
             TextColumn("{task.fields[stage]:<7}"),

@@ -23,6 +23,8 @@ objects           objects that can be shown
 save              write what was learned into the run folder
 quit              save and leave (so does the end of the input)"""
 PROMPT = "icub> "
+STAGE = "converse"
+"""Stage of a run in which the terminal is the user's."""
 
 
 def converse(

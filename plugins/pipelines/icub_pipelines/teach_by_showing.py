@@ -17,7 +17,7 @@ from icub_core.renames import renamed
 from icub_core.run import Run
 from icub_core.scene import ObjectSpec
 from icub_pipelines import seeing
-from icub_pipelines.conversation import converse
+from icub_pipelines.conversation import STAGE, converse
 from icub_pipelines.images import draw_instances
 from icub_pipelines.settings import SeeSettings, taught_names
 from icub_pipelines.tabletop import Tabletop
@@ -72,7 +72,7 @@ class TeachByShowing(Pipeline):
         self._unknown = seeing.distractors(objects, names, self._see, run.rng("strangers"))
         run.plugins.get("segmenter")
         if self._interactive:
-            return (Stage("converse", self._converse),)
+            return (Stage(STAGE, self._converse, resume=lambda run: False),)  # a conversation is never over
 
         def finished(run: Run) -> bool:
             return (run.run_dir / "done_after.json").exists()  # what stands between is kept in memory alone
