@@ -42,6 +42,8 @@ class _AliasFinder(MetaPathFinder, Loader):
             warnings.warn(f"{spec.name} is now {moved}; the old name goes with the next release", DeprecationWarning, 2)
         # the import system writes the old name's spec into whatever it is given, so it is given a stand-in
         stand_in = ModuleType(spec.name, module.__doc__)
+        # with the new module's own path the ordinary finders would load what is below it once more, under its old name
+        stand_in.__path__ = []
         stand_in.__getattr__ = functools.partial(getattr, module)  # type: ignore[method-assign]
         return stand_in
 
