@@ -49,7 +49,7 @@ class Renderer:
     """
 
     def __init__(self, robot: RobotDescription | None, scene: Scene) -> None:
-        self._gl: Any = make_context()
+        self._gl: Any = make_context("mujoco")
         spec = build_spec(robot, scene, visual=True)
         dress(spec, scene)
         self.model = compile_model(spec)
