@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from icub_core.cache import cached_text
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.geometry import make_transform
 from icub_core.robot_description import Actuator, ContactMaterial, Grip, HandDescription, RobotDescription
 from icub_robots import body
-from icub_robots.cache import store_text
 from icub_robots.hand_meshes import hand_shapes
 from icub_robots.hand_table import SIDES, Hand, load_hand
 from icub_robots.models import BODY_MODEL, MODELS
@@ -73,7 +73,7 @@ def describe(
     home = {**body.HOME, **{joint: q for hand in fingered for joint, q in hand.home.items()}}
     return RobotDescription(
         name="icub",
-        urdf=store_text(text, "icub", ".urdf"),
+        urdf=cached_text("robots", text, ".urdf"),
         T_world_root=root_transform(),
         joint_names=tuple(movable),
         lower=np.array([ranges[joint][0] for joint in movable]),

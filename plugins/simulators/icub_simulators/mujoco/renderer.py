@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -100,7 +101,7 @@ class Renderer:
         table: Material | None,
         floor: Material | None,
         backdrop: Material | None,
-        lights: tuple[Light, ...] | None,
+        lights: Sequence[Light] | None,
     ) -> None:
         """Change what is given; see the simulator's interface."""
         changed = []
