@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.data import FloatArray
 from icub_core.errors import ConfigError
-from icub_core.geometry import is_rigid, rotation_log
+from icub_core.geometry import FloatArray, is_rigid, rotation_log
 from icub_core.interfaces.abilities import ChecksCollisions, HasGaze
 from icub_core.interfaces.robot import Robot
 from icub_core.scene import Table

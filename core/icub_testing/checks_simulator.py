@@ -7,9 +7,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from icub_core.data import FloatArray
 from icub_core.errors import ConfigError, IcubError
-from icub_core.geometry import look_at, make_transform
+from icub_core.geometry import FloatArray, look_at, make_transform
 from icub_core.interfaces.abilities import ChangesAppearance
 from icub_core.interfaces.simulator import Fault, Simulator
 from icub_core.scene import CameraView, Material, Scene

@@ -232,3 +232,16 @@ def test_a_broken_start_is_refused():
         ROBOT.inverse_kinematics(np.eye(4), np.full(32, np.nan), FRAME)
     with pytest.raises(DataError, match="q_start"):
         ROBOT.inverse_kinematics_batch([np.eye(4)], np.zeros(10), FRAME)
+
+
+def test_without_a_group_the_joints_that_carry_the_hand_move(both_hands):
+    start = both_hands.description.home_q
+    for side in ("right", "left"):
+        frame = f"{side[0]}_hand_dh_frame"
+        target = both_hands.forward_kinematics(start, frame)
+        target[:3, 3] += [-0.05, 0.0, 0.03]
+        named = both_hands.inverse_kinematics(target, start, frame, group=f"{side}_reach")
+        assert named.reached
+        assert np.array_equal(both_hands.inverse_kinematics(target, start, frame).q, named.q)
+    with pytest.raises(ConfigError, match="'head' is no hand's frame"):
+        both_hands.inverse_kinematics(np.eye(4), start, "head")

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from icub_core.data import Instance
 from icub_core.errors import DataError
-
-FloatArray = NDArray[np.float64]
+from icub_core.geometry import FloatArray
 
 
 def box_iou(a: FloatArray, b: FloatArray) -> FloatArray:

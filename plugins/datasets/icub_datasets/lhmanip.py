@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import DataError
+from icub_core.geometry import FloatArray
 from icub_datasets.reading import read_channel, read_rgb, require_folder
 from icub_datasets.unpickle import load_plain_pickle
 
-FloatArray = NDArray[np.float64]
 CAMERAS = {"main": "", "left": "_left", "wrist": "_wrist"}
 """Camera to suffix of its folders ``images`` and ``depth``; also the order of the depth scales."""
 STATE_SIZE, ACTION_SIZE = 23, 8

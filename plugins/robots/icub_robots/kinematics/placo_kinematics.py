@@ -13,9 +13,10 @@ import placo
 
 from icub_core.cache import cached_text
 from icub_core.errors import ConfigError
+from icub_core.geometry import FloatArray
 from icub_core.interfaces.robot import IkSolution
 from icub_robots.cables import CABLE_MATRIX, CABLE_OFFSET, shoulder
-from icub_robots.kinematics.base import FloatArray, IkRequest, Kinematics
+from icub_robots.kinematics.base import IkRequest, Kinematics
 from icub_robots.kinematics.model import PinocchioModel
 from icub_robots.kinematics.settings import AT_LIMIT, CONVERGED, MIN_PROGRESS
 

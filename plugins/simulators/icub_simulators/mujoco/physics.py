@@ -12,14 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError, SimulationError, unknown_name
-from icub_core.geometry import matrix_to_quat_wxyz
+from icub_core.geometry import FloatArray, matrix_to_quat_wxyz
 from icub_core.interfaces.simulator import Fault
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import Scene
 from icub_simulators.mujoco.builder import build_physics, parking_place
 from icub_simulators.mujoco.index import ObjectSlots, build_index
-
-FloatArray = NDArray[np.float64]
 
 logger = logging.getLogger(__name__)
 
