@@ -200,14 +200,16 @@ def check_ik_batch(make: Make) -> None:
 
 def check_gaze(make: Make) -> None:
     """Gaze control, where there is any, turns only some joints, within their limits, and answers out of reach too."""
-    robot = make()
+    robot: Robot = make()
     d = robot.description
     if not isinstance(robot, HasGaze):
         return
     camera = d.camera().name
     for point in ([-0.4, 0.0, 1.0], [-0.3, 0.2, 1.1], [5.0, 0.0, 1.0]):
         start = d.home_q
-        answer = robot.gaze(np.array(point), start, camera)
+        answer = robot.gaze(np.array(point), start)
+        named = robot.gaze(np.array(point), start, camera)
+        expect_same(answer.q, named.q, "the answer for the first camera, named and not named")
         inside = (answer.q >= d.lower - 1e-9) & (answer.q <= d.upper + 1e-9)
         expect(inside.all(), "joints within their limits", [d.joint_names[i] for i in np.nonzero(~inside)[0]])
         expect_same(start, d.home_q, "the start before and after")
@@ -218,7 +220,7 @@ def check_gaze(make: Make) -> None:
 
 def check_collisions(make: Make) -> None:
     """A collision check, where there is any, finds nothing at home, and the table when the hand is in it."""
-    robot = make()
+    robot: Robot = make()
     d = robot.description
     if not isinstance(robot, ChecksCollisions):
         return

@@ -20,7 +20,7 @@ from icub_robots.urdf import assemble, joint_limits, root_transform
 Coupling = Literal["tendon", "equal_split"]
 WORKSPACE = np.array([[-0.65, -0.45, 0.93], [0.0, 0.55, 1.60]])
 """Lowest and highest hand position, world, meters: in front of the robot, above the table."""
-GRIPS = {
+GRIPS: dict[str, Grip] = {
     side: Grip(
         T_hand_grip=make_transform(np.eye(3), [0.033, -0.002, 0.001]),
         width=0.075,  # of an opening of 0.09, of which placing and pose errors take their part
