@@ -5,7 +5,6 @@ import numpy as np
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from icub_pipelines.context import RunContext
 from tensordict import TensorDict
 
 from icub_core.appearance import random_lights, random_surface

@@ -10,7 +10,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from icub_policies.features import PROPRIOCEPTIVE_SIZE, features
 from tensordict import TensorDict
 
 from icub_core.errors import CheckpointError, ConfigError, WeightsError
