@@ -11,12 +11,9 @@ Rendered frames are kept in the user's cache folder and made when they are missi
 
 from __future__ import annotations
 
-import argparse
-import shlex
 import statistics
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +22,8 @@ import torch
 from numpy.typing import NDArray
 from rich.progress import Progress
 
-from icub_core.evaluation.results import Figure, write_results
+from icub_benchmarks.results import command_line, make_parser, write_figures
+from icub_core.evaluation.results import Figure
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.registry import load
@@ -36,7 +34,6 @@ from icub_segmenters.minibootstrap import Minibootstrap
 from icub_segmenters.online_rpn import OnlineRpn
 from icub_segmenters.shared_rpn import SharedRpn
 
-RESULTS = Path(__file__).resolve().parent / "results" / "features.json"
 NEW_OBJECTS = "rendered_tabletop"
 WAYS: dict[str, type[OnlineRpn]] = {"online_rpn": SharedRpn, "online_rpn_faithful": FaithfulRpn}
 
@@ -101,16 +98,15 @@ def taught_rpns(
     return rpns, times
 
 
-def main() -> None:
-    """Measure and write benchmarks/results/features.json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(argv: Sequence[str]) -> None:
+    """Measure and write features.json."""
+    parser = make_parser("features", __doc__)
     parser.add_argument("--weights", default="compact")
     parser.add_argument("--frames", type=int, default=400, help="validation frames of the FEATURE-TASK")
     parser.add_argument("--new-frames", type=int, default=100, help=f"test frames of {NEW_OBJECTS}")
     parser.add_argument("--taught-frames", type=int, default=160, help="frames the on-line networks learn from")
     parser.add_argument("--data", type=Path, help="folder of the FEATURE-TASK's frames")
-    parser.add_argument("--out", type=Path, default=RESULTS)
-    options = parser.parse_args()
+    options = parser.parse_args(argv)
     torch.set_num_threads(1)
     extractor = CompactMaskRcnn(options.weights)
     known = load("dataset", "feature_task")(path=options.data, split="validation", frames=options.frames)
@@ -145,10 +141,4 @@ def main() -> None:
         "features.regions_100_ms": milliseconds(lambda: extractor.region_features(features, features.proposals), 40),
         "features.masks_5_ms": milliseconds(lambda: extractor.mask_features(features, features.proposals[:5]), 40),
     }
-    command = shlex.join(["icub", "benchmark", "features", *sys.argv[1:]])
-    write_results(options.out, command=command, seed=0, figures=figures)
-    print(f"written: {options.out}")
-
-
-if __name__ == "__main__":
-    main()
+    write_figures(options.results / "features.json", figures, command=command_line("features", argv))

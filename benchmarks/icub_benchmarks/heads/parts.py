@@ -104,15 +104,15 @@ def minibootstrap(sizes: Sizes, seed: int, progress: Progress) -> Iterator[dict[
         progress.advance(task)
     mean_faithful = mean_precision(scores.numpy(), test_label)
     task = progress.add_task("Minibootstrap, scikit-learn", total=sizes.classes)
-    rival_scores, baseline = np.zeros((len(X_test), sizes.classes), np.float32), 0.0
+    baseline_scores, baseline = np.zeros((len(X_test), sizes.classes), np.float32), 0.0
     samples = X.numpy()
     for c in range(sizes.classes):
         begun = time.perf_counter()
         learned = sklearn_minibootstrap(procedure, sizes.centers, samples, positives[c].numpy(), negatives[c].numpy())
         baseline += time.perf_counter() - begun
-        rival_scores[:, c] = learned.score(X_test.numpy())
+        baseline_scores[:, c] = learned.score(X_test.numpy())
         progress.advance(task)
-    mean_baseline = mean_precision(rival_scores, test_label)
+    mean_baseline = mean_precision(baseline_scores, test_label)
     ours = statistics.median(times)
     yield {
         "heads.minibootstrap_s": Figure(ours, "s", (min(times), max(times)), len(times)),
