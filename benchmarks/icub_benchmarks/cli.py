@@ -1,7 +1,9 @@
 """Time in which the command line answers, as whole processes.
 
-icub benchmark cli
-icub benchmark cli --repetitions 5
+    icub benchmark cli
+    icub benchmark cli --repetitions 5
+
+The first call of each command, which reads files from the disk, does not count.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ def main(argv: Sequence[str]) -> None:
     options = parser.parse_args(argv)
     figures = {}
     for key, words in COMMANDS.items():
-        seconds(words)  # the first one reads files from the disk
+        seconds(words)
         times = sorted(seconds(words) for _ in range(options.repetitions))
         median = statistics.median(times)
         figures[key] = Figure(median, "s", (times[0], times[-1]), options.repetitions)

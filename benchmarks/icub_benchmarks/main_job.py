@@ -1,7 +1,9 @@
 """The main job, as a newcomer types it, for several seeds: figures of every stage and the wall time of the whole.
 
-icub benchmark main_job
-icub benchmark main_job --seeds 1
+    icub benchmark main_job
+    icub benchmark main_job --seeds 1
+
+Means over the seeds; the spread is the standard deviation.
 """
 
 from __future__ import annotations

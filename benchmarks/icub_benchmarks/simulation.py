@@ -3,8 +3,9 @@
     icub benchmark simulation
     icub benchmark simulation --only render --repeats 200
 
-Each function returns its entries for simulation.json, where figures of other benchmarks and functions are kept. Times are processor time of one thread, so that other work on the machine counts as little as
-possible; the machine should still be quiet, since two busy hardware threads of a core share it.
+Each function returns its entries for simulation.json, where figures of other benchmarks and functions are kept. Times
+are processor time of one thread, so that other work on the machine counts as little as possible; the machine should
+still be quiet, since two busy hardware threads of a core share it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Trial of a grasp: close the hand, lift, shake, hold. The same script in any engine, for any hand.
 
 The arm's trajectory is planned once, without a simulator, so every engine executes the same one; what happens to
-fingers and object is simulated by each engine. Engines that agree make it less likely that a grasp only suits one of them.
+fingers and object is simulated by each engine. Engines that agree make it less likely that a grasp only suits one of
+them.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ Ours and scikit-learn get the same arrays, kernel width, lambda, number of cente
 run and with the same number of threads; average precisions are measured on samples that nobody trained on.
 
 - minibootstrap: all classes by the Minibootstrap. The baseline is the faithful loop (Algorithm 1), each class with its
-  own negatives and centers, with Nystroem + Ridge in it. Ours once in that faithful mode (``_faithful``) and once shared:
-  one pool of negatives and one set of centers for all classes.
+  own negatives and centers, with Nystroem + Ridge in it. Ours once in that faithful mode (``_faithful``) and once
+  shared: one pool of negatives and one set of centers for all classes.
 - limit: the shared direct solve; its arithmetic is the kernel rows, half of the symmetric Gram matrix, right sides,
   the kernel matrix of the centers, factorization and substitution.
 - sweep: single solves, n, d, M and the number of classes varied one at a time; time, accuracy and memory against

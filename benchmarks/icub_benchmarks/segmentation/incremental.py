@@ -9,7 +9,8 @@
 all classes anew as thesis 11.8.1 does. Old classes are examined before and after on test frames on which the new object
 does not occur; the new one on frames where it stands among old ones, and so is how often it is taken for one of them.
 
-Runs are kept one by one in the work folder: the same line resumes an interrupted benchmark. They are known by seed, numbers of frames and overrides, not by the code: measure again with --fresh after changing it.
+Runs are kept one by one in the work folder: the same line resumes an interrupted benchmark. They are known by seed,
+numbers of frames and overrides, not by the code: measure again with --fresh after changing it.
 Rendered frames are kept in the user's cache folder and made when they are missing.
 """
 

@@ -39,7 +39,7 @@ def cells(trials: Sequence[Trial]) -> list[str]:
 
 
 def markdown_table(rows: Mapping[str, Sequence[Trial]]) -> str:
-    """Return a table with one row per method: four mAPs in percent, times in seconds; and one by VOC's rules, if known."""
+    """Return a table with one row per method (four mAPs in percent, times in seconds), and one by VOC's rules."""
     lines = [f"| method | {' | '.join(HEADINGS)} |", f"| --- |{' ---: |' * len(HEADINGS)}"]
     lines += [f"| {name} | {' | '.join(cells(trials))} |" for name, trials in rows.items() if trials]
     return "\n".join([*lines, *_voc_table({name: trials for name, trials in rows.items() if trials}), ""])
