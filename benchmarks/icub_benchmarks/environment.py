@@ -138,7 +138,9 @@ def timed(workers: Workers[int, int], jobs: Sequence[int]) -> float:
 def scaling(options: argparse.Namespace) -> dict[str, Figure]:
     """Measure two processes against one, and two threads against one, turn by turn."""
     name, worlds = options.objects[0], options.worlds // 2
-    processes, limits, threads = [], [], []
+    processes: list[float] = []
+    limits: list[float] = []
+    threads: list[float] = []
     with Workers(partial(Player, name, worlds), 2) as players, Workers(partial(Stepper, name), 2) as steppers:
         players.map([1, 1])  # both are set up
         steppers.map([1, 1])

@@ -20,13 +20,13 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rich.progress import Progress
+from rich.progress import Progress, TaskID
 
 from icub_benchmarks.results import command_line, make_parser, write_figures
+from icub_core.construct import build
 from icub_core.evaluation.results import Figure
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
-from icub_core.registry import load
 from icub_segmenters.faithful_rpn import FaithfulRpn
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
 from icub_segmenters.feature_extractors.evaluation import feature_task_precision, proposal_recall
@@ -81,7 +81,7 @@ def taught_rpns(
     extractor: FeatureExtractor, data: Dataset, progress: Callable[[float], None]
 ) -> tuple[dict[str, OnlineRpn], dict[str, float]]:
     """Return on-line networks that were taught all frames of `data`, and the seconds of their training."""
-    rpns = {name: way(lambda: load("online_head", "falkon")(), Minibootstrap()) for name, way in WAYS.items()}
+    rpns = {name: way(lambda: build("online_head", "falkon"), Minibootstrap()) for name, way in WAYS.items()}
     for number, (frame, instances) in enumerate(data):
         features = extractor.extract(frame.rgb)
         cells = extractor.rpn_cells(features)
@@ -98,6 +98,11 @@ def taught_rpns(
     return rpns, times
 
 
+def share_of(progress: Progress, line: TaskID) -> Callable[[float], None]:
+    """Return a callback that shows a share in a line."""
+    return lambda share: progress.update(line, completed=share)
+
+
 def main(argv: Sequence[str]) -> None:
     """Measure and write features.json."""
     parser = make_parser("features", __doc__)
@@ -109,8 +114,8 @@ def main(argv: Sequence[str]) -> None:
     options = parser.parse_args(argv)
     torch.set_num_threads(1)
     extractor = CompactMaskRcnn(options.weights)
-    known = load("dataset", "feature_task")(path=options.data, split="validation", frames=options.frames)
-    new = load("dataset", NEW_OBJECTS)(split="test", frames=options.new_frames)
+    known = build("dataset", "feature_task", path=options.data, split="validation", frames=options.frames)
+    new = build("dataset", NEW_OBJECTS, split="test", frames=options.new_frames)
     figures: dict[str, Figure] = {}
     with Progress() as progress:
         task = progress.add_task("rendering", total=None)
@@ -121,17 +126,15 @@ def main(argv: Sequence[str]) -> None:
             ("proposals of new objects", "new_objects", proposal_recall, new, options.new_frames),
         ):
             task = progress.add_task(title, total=1.0)
-            found = measure(extractor, data, count, lambda share, task=task: progress.update(task, completed=share))
+            found = measure(extractor, data, count, share_of(progress, task))
             figures |= {f"{prefix}.{key}": Figure(value, "1", n=count) for key, value in found.items()}
         task = progress.add_task("teaching on-line networks", total=1.0)
-        training_images = load("dataset", NEW_OBJECTS)(split="train", frames=options.taught_frames)
-        rpns, times = taught_rpns(extractor, training_images, lambda share: progress.update(task, completed=share))
+        training_images = build("dataset", NEW_OBJECTS, split="train", frames=options.taught_frames)
+        rpns, times = taught_rpns(extractor, training_images, share_of(progress, task))
         for name, rpn in rpns.items():
             task = progress.add_task(f"their proposals: {name}", total=1.0)
             own = WithProposals(extractor, rpn)
-            found = proposal_recall(
-                own, new, options.new_frames, lambda share, task=task: progress.update(task, completed=share)
-            )
+            found = proposal_recall(own, new, options.new_frames, share_of(progress, task))
             figures |= {f"{name}.{key}": Figure(value, "1", n=options.new_frames) for key, value in found.items()}
             figures[f"{name}.train_s"] = Figure(times[name], "s")
     image = np.asarray(known[0][0].rgb)

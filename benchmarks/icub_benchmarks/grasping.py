@@ -173,7 +173,8 @@ class Outcome:
 def _results(content: dict[str, Any]) -> EpisodeResults:
     arrays = {name: np.array(content[name]) for name in ("success", "returns", "steps", "reasons")}
     names = {name: tuple(content[name]) for name in ("objects", "reason_names") if name in content}
-    return EpisodeResults(**{**content, **arrays, **names})
+    merged: dict[str, Any] = {**content, **arrays, **names}
+    return EpisodeResults(**merged)
 
 
 def learn_and_test(name: str, seed: int, options: argparse.Namespace, bar: Progress) -> Outcome:
@@ -186,7 +187,7 @@ def learn_and_test(name: str, seed: int, options: argparse.Namespace, bar: Progr
     task = make_task(name, options, seed)
     seconds = options.seconds if options.env_steps is None else None
     budget = {"seconds": seconds, "env_steps": options.env_steps, "seed": seed}
-    policy = icub.load("policy", "resprect", base=BASE, **budget)
+    policy: Policy = icub.load("policy", "resprect", base=BASE, **budget)
     assert isinstance(policy, Learns)
     folder.mkdir(parents=True, exist_ok=True)
     report = policy.learn(task, folder, line_of(bar, f"resprect learns {name}, seed {seed}"))

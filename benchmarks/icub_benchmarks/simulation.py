@@ -107,7 +107,9 @@ class ScriptedGrasp:
 def physics_steps(seed: int, repeats: int) -> dict[str, Figure]:
     """Raw physics steps a second, mean over whole scripted episodes; also per phase, and per call around the steps."""
     robot, objects, rng = ICub(), YcbPrimitives(), np.random.default_rng(seed)
-    rates, phases, lifted = [], {"approach": [0.0, 0], "close": [0.0, 0], "lift": [0.0, 0]}, 0
+    rates: list[float] = []
+    phases = {"approach": [0.0, 0.0], "close": [0.0, 0.0], "lift": [0.0, 0.0]}
+    lifted = 0
     simulator = Mujoco()
     jobs = [(name, roll) for name, roll in OBJECTS.items() for _ in range(max(repeats // len(OBJECTS), 1))]
     for name, roll in track(jobs, description="physics", transient=True):
@@ -130,8 +132,8 @@ def physics_steps(seed: int, repeats: int) -> dict[str, Figure]:
     if lifted < len(jobs) // 2:
         raise SimulationError(f"only {lifted} of {len(jobs)} objects were lifted: this is not the scene that is meant")
     figures = {"sim.physics_steps_per_s": Figure(float(np.mean(rates)), "1/s", float(np.std(rates)), len(rates))}
-    for phase, (seconds, steps) in phases.items():
-        figures[f"sim.physics_steps_per_s.{phase}"] = Figure(steps / seconds, "1/s", None, len(rates))
+    for phase, (used, done) in phases.items():
+        figures[f"sim.physics_steps_per_s.{phase}"] = Figure(done / used, "1/s", None, len(rates))
     return figures
 
 

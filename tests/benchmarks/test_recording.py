@@ -7,7 +7,7 @@ from icub_benchmarks.segmentation.recording import taught_and_seen
 from icub_pipelines.settings import SeeSettings
 
 
-def test_objects_are_shown_one_after_another_and_then_stand_among_distractors_on_a_table():
+def test_objects_are_taught_one_after_another_and_then_stand_among_distractors_on_a_table():
     names = ["006_mustard_bottle", "005_tomato_soup_can"]
     shares = []
     train, test = taught_and_seen(

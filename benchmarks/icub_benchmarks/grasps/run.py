@@ -160,8 +160,9 @@ def main(argv: Sequence[str]) -> None:
     parser.add_argument("--episodes", type=int, default=100, help="of each object, for demonstrations")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--seed", type=int, default=0)
-    options, options.overrides = parser.parse_known_args(argv)
-    if unknown := [word for word in options.overrides if word.startswith("-")]:
+    options, overrides = parser.parse_known_args(argv)
+    options.overrides = overrides
+    if unknown := [word for word in overrides if word.startswith("-")]:
         parser.error(f"unknown option {unknown[0]}")
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     for name in [options.only] if options.only else list(PARTS):

@@ -79,7 +79,7 @@ def summarize(prefixes: Sequence[str], records: dict[tuple[str, str], Record]) -
         parts = [records[prefix, kind] for kind in KINDS]
         for kind, part in zip(KINDS, parts, strict=True):
             low, high = np.quantile(part.offsets, [0.5, 0.9])
-            ok = np.mean(np.array(part.errors) < WITHIN)
+            ok = float(np.mean(np.array(part.errors) < WITHIN))
             table.add_row(NAMES[prefix], kind, f"{np.median(part.ms):.1f}", f"{ok:.2f}", f"{low:.1f}, {high:.1f}")
         ms = np.concatenate([part.ms for part in parts])
         errors = np.concatenate([part.errors for part in parts])

@@ -14,6 +14,7 @@ from icub_benchmarks.heads.baselines import sklearn_minibootstrap
 from icub_benchmarks.heads.data import LAM, SIGMA, Mixture, Sizes, mean_precision
 from icub_benchmarks.heads.timing import REPETITIONS, best_product_rate, seconds
 from icub_core.evaluation.results import Figure
+from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.minibootstrap import Minibootstrap, one_vs_rest
 from icub_segmenters.region_store import BACKGROUND, Regions, RegionStore
@@ -87,7 +88,7 @@ def minibootstrap(sizes: Sizes, seed: int, progress: Progress) -> Iterator[dict[
     def head() -> Falkon:
         return Falkon(sigma=SIGMA, lam=LAM, centers=sizes.centers, selection="balanced", solver="direct")
 
-    def shared() -> torch.Tensor:
+    def shared() -> OnlineHead:
         return procedure.train_shared(head, X, label, background, sizes.classes)
 
     task = progress.add_task("Minibootstrap, ours", total=sizes.classes + 1)
@@ -100,6 +101,7 @@ def minibootstrap(sizes: Sizes, seed: int, progress: Progress) -> Iterator[dict[
         begun = time.perf_counter()
         trained = procedure.train_class(head, X, positives[c], negatives[c])
         faithful += time.perf_counter() - begun
+        assert trained is not None  # every class has positives
         scores[:, c] = trained.decision_function(X_test)[:, 0]
         progress.advance(task)
     mean_faithful = mean_precision(scores.numpy(), test_label)

@@ -74,7 +74,7 @@ def taught_and_seen(
                 progress(0.7 * (number + share) / len(targets), text)
 
             seeing.teach_object(simulator, robot, spec, cast(Segmenter, recorder), frames, rng, tell)
-        others = seeing.distractors(objects, names, see.distractors, rng)
+        others = seeing.distractors(objects, names, see, rng)
         test = []
         for frame, present in tabletop_pictures(simulator, targets, others, Tabletop(frames=see.frames), rng):
             test.append((frame, tuple(i for i in present if i.label in names)))

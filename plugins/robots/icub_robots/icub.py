@@ -110,7 +110,8 @@ class ICub(Robot):
         self._check_start(q_start)
         if not np.isfinite(T_world_frame).all():
             return _unreachable(q_start)
-        return self._kinematics.solve(T_world_frame, q_start, frame, group, request)
+        moving = group or self.description.reach_group(frame)
+        return self._kinematics.solve(T_world_frame, q_start, frame, moving, request)
 
     def inverse_kinematics_batch(
         self,
@@ -128,7 +129,8 @@ class ICub(Robot):
         self._check_start(q_start)
         targets = np.asarray(T_world_frames, dtype=np.float64).reshape(-1, 4, 4)
         finite = np.all(np.isfinite(targets), axis=(1, 2))
-        solved = iter(self._kinematics.solve_batch(targets[finite], q_start, frame, group, request))
+        moving = group or self.description.reach_group(frame)
+        solved = iter(self._kinematics.solve_batch(targets[finite], q_start, frame, moving, request))
         return [next(solved) if good else _unreachable(q_start) for good in finite]
 
     @cached_property
