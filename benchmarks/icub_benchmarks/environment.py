@@ -8,7 +8,7 @@ TensorDict, scripted policy) from the pre-grasp pose to the end of the episode. 
 the environment takes above the physics steps it contains, as a share of them; the policy is not part of it. Processor
 time of one thread; the starts are planned beforehand.
 
-`sim.scaling_2`: control steps a second of wall time of two processes at once (`icub_core.workers`) over those of one;
+`sim.scaling_2`: control steps per second of wall time of two processes at once (`icub_core.workers`) over those of one;
 `sim.scaling_2_limit`: the same of nothing but physics steps, in the engine's own loop: what the machine allows, with
 whatever else runs on it; `sim.scaling_2_threads`: of one environment whose worlds two threads step over the same with
 one thread.
@@ -94,7 +94,7 @@ def play(env: GraspingTask, starts: Sequence[StartState], clock: Callable[[], fl
 def measure(name: str, worlds: int, seed: int) -> tuple[float, float, int]:
     """Return steps per second of whole episodes, the overhead share, and the control steps measured."""
     env, starts = prepare(name, worlds, seed)
-    physics = Clock(env.batch, "simulate")  # once a control step of all worlds: watching takes no time to speak of
+    physics = Clock(env.batch, "simulate")  # once per control step of all worlds: the clock itself takes no time
     steps, total, in_env = play(env, starts, time.thread_time)
     env.close()
     return steps / total, in_env / physics.seconds - 1.0, steps

@@ -1,7 +1,7 @@
-"""The shipped feature extractor: quality on the FEATURE-TASK, proposals on new objects, time a frame.
+"""The shipped feature extractor: quality on the FEATURE-TASK, proposals on new objects, time per frame.
 
 Proposals on new objects are measured twice: the extractor's own, and those of on-line region proposal networks (one for
-all anchor types of a cell, and Algorithm 2 with one an anchor type), which are taught frames of these objects.
+all anchor types of a cell, and Algorithm 2 with one per anchor type), which are taught frames of these objects.
 
     icub benchmark features
     icub benchmark features --frames 300 --new-frames 200

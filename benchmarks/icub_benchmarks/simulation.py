@@ -105,7 +105,7 @@ class ScriptedGrasp:
 
 
 def physics_steps(seed: int, repeats: int) -> dict[str, Figure]:
-    """Raw physics steps a second, mean over whole scripted episodes; also per phase, and per call around the steps."""
+    """Raw physics steps per second, mean over whole scripted episodes; also per phase, and per call around the steps."""
     robot, objects, rng = ICub(), YcbPrimitives(), np.random.default_rng(seed)
     rates: list[float] = []
     phases = {"approach": [0.0, 0.0], "close": [0.0, 0.0], "lift": [0.0, 0.0]}
@@ -138,7 +138,7 @@ def physics_steps(seed: int, repeats: int) -> dict[str, Figure]:
 
 
 def task_calls(seed: int, repeats: int) -> dict[str, Figure]:
-    """Microseconds of what a grasping task calls once a control step beside the physics steps."""
+    """Microseconds of what a grasping task calls once per control step beside the physics steps."""
     objects = YcbPrimitives()
     spec = objects.get("006_mustard_bottle")
     simulator = Mujoco()
