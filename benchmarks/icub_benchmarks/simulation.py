@@ -105,7 +105,7 @@ class ScriptedGrasp:
 
 
 def physics_steps(seed: int, repeats: int) -> dict[str, Figure]:
-    """Raw physics steps per second, mean over whole scripted episodes; also per phase, and per call around the steps."""
+    """Raw physics steps per second, mean over whole scripted episodes; also per phase."""
     robot, objects, rng = ICub(), YcbPrimitives(), np.random.default_rng(seed)
     rates: list[float] = []
     phases = {"approach": [0.0, 0.0], "close": [0.0, 0.0], "lift": [0.0, 0.0]}

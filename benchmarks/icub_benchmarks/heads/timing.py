@@ -44,7 +44,7 @@ def once(call: Callable[[], object]) -> float:
 
 
 def peak_memory(call: Callable[[], object]) -> dict[str, float]:
-    """Return what a call adds to the resident memory at most, in bytes, under "bytes"; nothing where the system does not tell.
+    """Return what a call adds to the resident memory at most, in bytes, under "bytes"; nothing outside of Linux.
 
     What the process holds but does not use is given back first; the rest of it would not be counted, so this is a lower
     bound.
