@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from icub_core.errors import DataError
 
@@ -37,7 +37,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("first", metavar="A", type=Path)
     parser.add_argument("second", metavar="B", type=Path)
     options = parser.parse_args(argv)
-    table = Table("figure", "A", "B", "unit", "difference")
+    table = Table(Column("figure", overflow="fold"), "A", "B", "unit", "difference")
     both = same = 0
     for first, second in pairs(options.first, options.second):
         a, b = figures_of(first), figures_of(second)
