@@ -172,9 +172,8 @@ class Outcome:
 
 def _results(content: dict[str, Any]) -> EpisodeResults:
     arrays = {name: np.array(content[name]) for name in ("success", "returns", "steps", "reasons")}
-    names = {name: tuple(content[name]) for name in ("objects", "reason_names") if name in content}
-    merged: dict[str, Any] = {**content, **arrays, **names}
-    return EpisodeResults(**merged)
+    names: dict[str, Any] = {name: tuple(content[name]) for name in ("objects", "reason_names") if name in content}
+    return EpisodeResults(**(content | arrays | names))
 
 
 def learn_and_test(name: str, seed: int, options: argparse.Namespace, bar: Progress) -> Outcome:

@@ -67,8 +67,16 @@ def superquadric() -> None:
     cloud = seen.frame.to_cloud(mask)
     shape = fit_superquadric(cloud.points, Table().top).shape
     generator = icub.load("grasp_generator", "superquadrics")
+    hand = description.hand("right")
     plan = plan_grasp(
-        seen.frame, mask, item.name, generator, studio.robot, description.home_q, table=simulator.scene.table
+        seen.frame,
+        mask,
+        item.name,
+        generator,
+        studio.robot,
+        description.home_q,
+        table=simulator.scene.table,
+        hand=hand,
     )
     if not isinstance(plan, GraspPlan):
         raise SystemExit(f"no plan for the image: {plan.value}")
@@ -79,7 +87,6 @@ def superquadric() -> None:
         captioned(crop(first, mask), "masked depth = cloud"),
         captioned(crop(second, mask), "fitted superquadric"),
     ]
-    hand = description.hand("right")
     eye, center = np.array([-0.78, 0.40, 1.28]), np.array([-0.29, 0.03, 1.08])
     for title, T in (("pre-grasp, 10 cm before", plan.T_far), ("chosen hand pose", plan.grasp.T_world_hand)):
         solution = studio.robot.inverse_kinematics(T, plan.q_far, hand.frame, group=hand.reach)
