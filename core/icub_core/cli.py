@@ -6,25 +6,19 @@ Exit codes: 0 all well; 1 a run or a check failed; 2 the command line or the con
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import sys
 from collections.abc import Sequence
+from importlib.metadata import EntryPoint, entry_points
 
 from icub_core import __version__
-from icub_core.errors import ConfigError, IcubError, PluginError
+from icub_core.errors import ConfigError, IcubError, PluginError, unknown_name
 
 DEBUG_VARIABLE = "ICUB_DEBUG"
 """Environment variable that asks for tracebacks."""
 
-COMMANDS = {
-    "run": "compose a robot, its senses and its skills, and run them: icub run +segmenter=falkon +policy=resprect",
-    "train": "train what a plugin ships with: icub train feature_extractor=compact",
-    "benchmark": "measure figures: icub benchmark NAME",
-    "plugins": "list, show or check plugins",
-    "completion": "print the completion script of a shell",
-}
-"""Commands and their one-line help; ``icub X`` is the function `main` of icub_core.commands.X."""
+ENTRY_POINT_GROUP = "icub.command"
+"""A command is a function ``main(arguments) -> exit code``; the first line of its docstring is its help."""
 
 EPILOG = f"icub COMMAND --help says more. {DEBUG_VARIABLE}=1 shows tracebacks of expected errors too."
 
@@ -35,7 +29,9 @@ class Interrupted(KeyboardInterrupt):
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the first word; everything after it belongs to the command."""
-    commands = "\n".join(f"  {name:<12}{text}" for name, text in COMMANDS.items())
+    from icub_core.docstrings import first_line
+
+    commands = "\n".join(f"  {name:<12}{first_line(entry.value)}" for name, entry in commands_by_name().items())
     made = argparse.ArgumentParser(
         prog="icub",
         usage="icub [-h] [--version] COMMAND ...",
@@ -68,17 +64,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
 
 
-def _dispatch(words: list[str]) -> int:
-    made = parser()
-    # what follows the command is cut off before argparse, so that flags for Hydra pass through
-    command = made.parse_args(words[:1] or ["--help"]).command
-    if command not in (*COMMANDS, "_complete"):
-        from icub_core.errors import unknown_name
+def commands_by_name() -> dict[str, EntryPoint]:
+    """Return every announced command, without importing any."""
+    found = entry_points(group=ENTRY_POINT_GROUP)
+    return {entry.name: entry for entry in sorted(found, key=lambda entry: entry.name)}
 
-        raise ConfigError(unknown_name("command", command, COMMANDS))
-    module = "completion" if command == "_complete" else command
-    function = "complete" if command == "_complete" else "main"
-    code: int = getattr(importlib.import_module(f"icub_core.commands.{module}"), function)(words[1:])
+
+def _dispatch(words: list[str]) -> int:
+    # what follows the command is cut off before argparse, so that flags for Hydra pass through
+    if not words or words[0].startswith("-"):
+        parser().parse_args(words[:1] or ["--help"])
+    if words[0] == "_complete":
+        from icub_core.commands.completion import complete
+
+        return complete(words[1:])
+    known = commands_by_name()
+    if words[0] not in known:
+        raise ConfigError(unknown_name("command", words[0], known))
+    entry = known[words[0]]
+    try:
+        function = entry.load()
+    except Exception as cause:
+        raise PluginError(f"the command '{entry.name}' ({entry.value}) cannot be imported: {cause}") from cause
+    code: int = function(words[1:])
     return code
 
 

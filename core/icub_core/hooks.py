@@ -10,7 +10,7 @@ A listener is any object with methods marked by `listen`; it is announced by an 
         def icub_episode_end(self, episode, success):
             logging.info("episode %d: %s", episode, success)
 
-Nothing in the core depends on a listener. One that raises is reported once and removed, and the run goes on; a listener
+Nothing in the core depends on a listener. One that raises is reported once and removed, and the run continues; a listener
 that wants to stop a run raises an `IcubError`.
 """
 
@@ -144,7 +144,7 @@ class Events:
             raise PluginError(f"the listener {name} listens to nothing; mark its methods with icub_core.hooks.listen")
 
     def wants(self, event: str) -> bool:
-        """Whether anybody listens to `event`."""
+        """Return True if anybody listens to `event`."""
         return bool(getattr(self._manager.hook, event).get_hookimpls())
 
     def emit(self, event: str, **arguments: Any) -> None:

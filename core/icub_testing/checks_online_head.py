@@ -32,7 +32,7 @@ def _fitted(make: Make, seed: int = 0, problems: int = 2) -> OnlineHead:
 
 
 def check_scores(make: Make) -> None:
-    """Scores are float32, a column a problem."""
+    """Scores are float32, a column per problem."""
     for problems in (1, 3):
         head = _fitted(make, problems=problems)
         expect_tensor(head.decision_function(_data(1, problems)[0]), (30 * (problems + 1), problems), "scores")

@@ -22,7 +22,7 @@ from icub_testing.checks import Check, Make, checks
 
 
 class PluginContract:
-    """One test a check; subclass the class of your kind and override `make_plugin`."""
+    """One test per check; subclass the class of your kind and override `make_plugin`."""
 
     kind: ClassVar[str] = ""
     expected_failures: ClassVar[Mapping[str, str]] = {}

@@ -15,7 +15,7 @@ ENTRY_POINT_GROUP = "icub.benchmark"
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run ``icub benchmark``; returns the exit code."""
+    """Measure figures."""
     known = benchmarks()
     if not arguments or arguments[0] in ("-h", "--help"):
         names = "".join(f"  {name}\n" for name in sorted(known)) or "  none is installed\n"

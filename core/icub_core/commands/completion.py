@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from icub_core.cli import COMMANDS
+from icub_core.cli import commands_by_name
 from icub_core.kinds import KINDS
 from icub_core.registry import available
 
@@ -46,7 +46,7 @@ complete -c icub -f -a '(icub _complete (commandline -opc) (commandline -ct) 2>/
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run ``icub completion``; returns the exit code."""
+    """Print the completion script of a shell."""
     parser = argparse.ArgumentParser(prog="icub completion", description="Print a shell's completion script.")
     parser.add_argument("shell", choices=sorted(SCRIPTS))
     sys.stdout.write(SCRIPTS[parser.parse_args(list(arguments)).shell])
@@ -65,7 +65,7 @@ def candidates(words: list[str]) -> list[str]:
         return []
     current = words[-1]
     if len(words) == 2:
-        return _starting(current, [*COMMANDS, "--help", "--version"])
+        return _starting(current, [*commands_by_name(), "--help", "--version"])
     command, position = words[1], len(words) - 2
     if command == "completion":
         return _starting(current, sorted(SCRIPTS)) if position == 1 else []

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections.abc import Sequence
-from importlib.util import find_spec
-from pathlib import Path
+from importlib.metadata import entry_points
 from typing import Any
 
+from icub_core.docstrings import first_line
 from icub_core.errors import ConfigError, PluginError, unknown_name
 from icub_core.kinds import KINDS, get_kind
 from icub_core.registry import PluginInfo, available, info
 
+CONTRACT_KIT = "icub.contract_kit"
+"""Entry-point group of a function ``check(kind, names, parameters) -> exit code``."""
+
 
 def main(arguments: Sequence[str]) -> int:
-    """Run ``icub plugins``; returns the exit code."""
+    """List, show or check plugins."""
     parser = argparse.ArgumentParser(prog="icub plugins", description="What is installed, and whether it works.")
     actions = parser.add_subparsers(dest="action", required=True, metavar="list|show|check")
     listing = actions.add_parser("list", help="every plugin of every kind; imports none of them")
@@ -37,9 +39,16 @@ def main(arguments: Sequence[str]) -> int:
     if options.action == "show":
         return _show(options.words)
     names = sorted(available(options.kind)) if options.all or options.name is None else [options.name]
-    from icub_core.commands.check import check_plugins
+    return _check(get_kind(options.kind).name, names, dict(_assignment(word) for word in options.set))
 
-    return check_plugins(get_kind(options.kind).name, names, dict(_assignment(word) for word in options.set))
+
+def _check(kind: str, names: Sequence[str], parameters: dict[str, Any]) -> int:
+    """Let the contract kit check plugins: it stands on the core, so the core finds it as an entry point."""
+    kits = list(entry_points(group=CONTRACT_KIT))
+    if not kits:
+        raise PluginError(f"no contract checks are installed (entry-point group {CONTRACT_KIT})")
+    code: int = kits[0].load()(kind, names, parameters)
+    return code
 
 
 def _assignment(word: str) -> tuple[str, Any]:
@@ -58,35 +67,8 @@ def every_plugin(kind: str | None = None) -> list[PluginInfo]:
 
 
 def summary(plugin: PluginInfo) -> str:
-    """Return the first line of a plugin's docstring, read from its file without importing anything; "" if not found."""
-    module, _, cls = plugin.target.partition(":")
-    file = _source(module)
-    if file is None:
-        return ""
-    match = re.search(
-        rf'^class {re.escape(cls)}\b[^\n]*?(?:\([^)]*\))?:\s*\n\s+r?"""(.+?)(?:"""|\n)',
-        file.read_text(encoding="utf-8"),
-        re.MULTILINE,
-    )
-    return match[1].strip().rstrip(".") if match else ""
-
-
-def _source(module: str) -> Path | None:
-    top, *rest = module.split(".")
-    try:
-        spec = find_spec(top)
-    except (ImportError, ValueError):
-        return None
-    if spec is None:
-        return None
-    if not spec.submodule_search_locations:
-        return Path(spec.origin) if spec.origin and not rest else None
-    for place in spec.submodule_search_locations:
-        base = Path(place, *rest)
-        for file in (base.with_suffix(".py"), base / "__init__.py"):
-            if file.is_file():
-                return file
-    return None
+    """Return the first line of a plugin's docstring, read from its file without importing anything."""
+    return first_line(plugin.target)
 
 
 def plain_table(plugins: Sequence[PluginInfo]) -> str:

@@ -38,7 +38,7 @@ _current: dict[str, Path] = {}
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run ``icub run``; returns the exit code.
+    """Compose a robot, its senses and its skills, and run them.
 
     Raises:
         IcubError: What went wrong, in one line.

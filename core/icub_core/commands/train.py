@@ -27,7 +27,7 @@ DEFAULT_MINUTES = 60.0
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run ``icub train``; returns the exit code."""
+    """Train the weights that a plugin ships with."""
     parser = argparse.ArgumentParser(prog="icub train", description="Train the weights that a plugin ships with.")
     parser.add_argument("plugin", metavar="KIND=NAME", help="such as feature_extractor=compact or policy=gpayn")
     parser.add_argument("--minutes", type=float, help="wall time in all; the plugin's own default otherwise")

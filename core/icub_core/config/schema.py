@@ -40,7 +40,7 @@ class Parameter:
 
     @property
     def required(self) -> bool:
-        """Whether a value must be given."""
+        """Return True if a value must be given."""
         return self.default is inspect.Parameter.empty
 
 

@@ -57,11 +57,11 @@ class PluginConfigSource(ConfigSource):
         return True
 
     def is_group(self, config_path: str) -> bool:
-        """Whether the path is a group with typed nodes."""
+        """Return True if the path is a group with typed nodes."""
         return config_path.strip("/") in ("", *GROUPS)
 
     def is_config(self, config_path: str) -> bool:
-        """Whether the path is an option of such a group, with or without a YAML file."""
+        """Return True if the path is an option of such a group, with or without a YAML file."""
         group, name = _split(config_path)
         return name in self.list(group, ObjectType.CONFIG) or (
             group in GROUPS and (_from_file(config_path) is not None or (group in KINDS and name == NONE))

@@ -17,7 +17,7 @@ class OnlineHead(ABC):
 
     @abstractmethod
     def fit(self, X: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
-        """Train on samples X (n, d) float32 with targets Y (n, t), usually +1 and -1, one column a problem."""
+        """Train on samples X (n, d) float32 with targets Y (n, t), usually +1 and -1, one column per problem."""
 
     @abstractmethod
     def decision_function(self, X: torch.Tensor) -> torch.Tensor:

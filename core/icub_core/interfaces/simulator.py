@@ -95,7 +95,7 @@ class Simulator(World):
 
     @abstractmethod
     def touching(self, name: str) -> bool:
-        """Whether the robot touches the object anywhere."""
+        """Return True if the robot touches the object anywhere."""
 
     @abstractmethod
     def render(

@@ -219,7 +219,7 @@ class TinyRobot(Robot):
         return poses
 
     def jacobian(self, q: FloatArray, frame: str) -> FloatArray:
-        """Collect one column a joint of the chain: its axis, and the axis crossed with the arm."""
+        """Collect one column per joint of the chain: its axis, and the axis crossed with the arm."""
         J = np.zeros((6, len(LINKS)))
         tip = self.forward_kinematics(q, frame)[:3, 3]
         T = np.eye(4)

@@ -130,7 +130,7 @@ class TinySimulator(Simulator):
         self._poses[i] = _parked(i)
 
     def touching(self, name: str) -> bool:
-        """Whether the middle of any link lies in the object."""
+        """Return True if the middle of any link lies in the object."""
         i = self._object(name)
         if self._robot is None:
             return False
@@ -198,7 +198,7 @@ class TinySimulator(Simulator):
         return names.index(name)
 
     def _holds(self, i: int, point: FloatArray) -> bool:
-        """Whether a point (3,) of the world lies in object `i`."""
+        """Return True if a point (3,) of the world lies in object `i`."""
         spot = self._poses[i][:3, :3].T @ (point - self._poses[i][:3, 3])
         return bool(np.all(np.abs(spot) <= np.asarray(self.scene.objects[i].half_extents)))
 

@@ -24,7 +24,7 @@ CLOSING_FIGURES = (
 
 
 class ConsoleView:
-    """Listens to a run and draws one line a stage; without a terminal, one line when a stage ends."""
+    """Listens to a run and draws one line per stage; without a terminal, one line when a stage ends."""
 
     def __init__(self, console: Console | None = None) -> None:
         """Draw on `console`, by default standard error."""

@@ -87,7 +87,7 @@ def grasp(run: Run, task: Task, policy: Policy, settings: GraspSettings) -> Epis
             "grasp.success_high": high,
             "grasp.episodes": len(results),
             "grasp.faults": results.faults,
-            "grasp.resampled_poses": results.resamples,
+            "grasp.redrawn_poses": results.resamples,
             **{f"grasp.ended_{reason}": count for reason, count in results.ends().items()},
         }
     )

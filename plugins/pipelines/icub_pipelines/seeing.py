@@ -144,7 +144,7 @@ def distractors(
 
 
 def confident(instances: Sequence[Instance]) -> tuple[Instance, ...]:
-    """Return the instances that a user would be shown: score above 0, at most one a class."""
+    """Return the instances that a user would be shown: score above 0, at most one per class."""
     best: dict[str, Instance] = {}
     for instance in instances:
         if instance.score > 0 and (instance.label not in best or instance.score > best[instance.label].score):

@@ -26,7 +26,7 @@ class Tabletop:
 
     Attributes:
         frames: How many.
-        targets, distractors: Lowest and highest number of taught and never taught objects in a image.
+        targets, distractors: Lowest and highest number of taught and never taught objects in an image.
         spread: Half side of the area on the table in which things stand, meters.
         nearest, farthest: Camera distance from the middle of that area, meters.
         width, height: Pixels.

@@ -24,7 +24,7 @@ SAME_OBJECT_IOU = 0.5
 """A found mask that overlaps a true one by less is not about that object (the metric's lower threshold)."""
 
 Look = tuple[RgbdFrame, tuple[Instance, ...]]
-"""A image and the true instances of everything in it."""
+"""An image and the true instances of everything in it."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class TeachingSession:
         """Show one object, the `number`-th of `count`, and learn it at once.
 
         Returns:
-            The report of the update, a image with the mask that was learned from, and seconds in all.
+            The report of the update, an image with the mask that was learned from, and seconds in all.
         """
         started = time.perf_counter()
         _, sample = seeing.teach_object(
@@ -86,7 +86,7 @@ class TeachingSession:
 
 
 def identities(found: Sequence[Instance], truth: Sequence[Instance]) -> list[tuple[Instance, str | None]]:
-    """Return what a user is shown of a image, each with the name of the object that is truly there.
+    """Return what a user is shown of an image, each with the name of the object that is truly there.
 
     What is shown is the best instance of a class, where its score is above 0.
 
@@ -106,7 +106,7 @@ def identities(found: Sequence[Instance], truth: Sequence[Instance]) -> list[tup
 
 
 def mistakes(found: Sequence[Instance], truth: Sequence[Instance]) -> list[Mistake]:
-    """Return the objects of a image that were called by another's name; arguments as of `identities`."""
+    """Return the objects of an image that were called by another's name; arguments as of `identities`."""
     return [
         Mistake(name, instance.label, instance.score)
         for instance, name in identities(found, truth)
@@ -115,7 +115,7 @@ def mistakes(found: Sequence[Instance], truth: Sequence[Instance]) -> list[Mista
 
 
 def recognized(found: Sequence[Instance], truth: Sequence[Instance], name: str) -> bool | None:
-    """Whether a user would be shown object `name` where it is; None when it is not in the image."""
+    """Return True if a user would be shown object `name` where it is; None when it is not in the image."""
     there = [instance.mask for instance in truth if instance.label == name]
     if not there:
         return None

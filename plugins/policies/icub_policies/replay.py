@@ -145,7 +145,7 @@ class Replay:
         return {**{n: getattr(self, n)[:filled].clone() for n in names}, "added": torch.tensor(self.added)}
 
     def load_state_dict(self, arrays: dict[str, torch.Tensor]) -> None:
-        """Take back what `state_dict` returned."""
+        """Restore what `state_dict` returned."""
         self.added = int(arrays["added"])
         filled = min(self.added, self._rows)
         for name in ("state", "action", "base", "reward", "end"):

@@ -202,7 +202,7 @@ class Sac:
         return {prefix + name: value for prefix, net in nets.items() for name, value in net.state_dict().items()}
 
     def load_weights(self, tensors: dict[str, torch.Tensor], path: Path) -> None:
-        """Take back what `weights` returned; WeightsError names the first tensor that does not fit."""
+        """Restore what `weights` returned; WeightsError names the first tensor that does not fit."""
         load_into(self.actor, tensors, "actor.", path)
         self.load_critics(tensors, path)
 

@@ -17,7 +17,7 @@ from icub_core.scene import Table
 
 FloatArray = NDArray[np.float64]
 MaskProvider = Callable[[RgbdFrame, str], "NDArray[np.bool_] | None"]
-"""Finds the named object in a image: (H, W) bool, or None when it is not seen."""
+"""Finds the named object in an image: (H, W) bool, or None when it is not seen."""
 
 FAR = 0.10
 NEAR = 0.05

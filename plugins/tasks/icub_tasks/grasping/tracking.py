@@ -1,4 +1,4 @@
-"""Inverse kinematics that follows a hand target moving by millimeters: one damped step a control step, batched.
+"""Inverse kinematics that follows a hand target moving by millimeters: one damped step per control step, batched.
 
 dq = J^T (J J^T + lambda I)^-1 e on the joints that are not at a limit (active set); what one step leaves is part of the
 next step's error e. Source: measurements with 1 and 2 iterations leave 0.04 mm and 0.02 mm on average.

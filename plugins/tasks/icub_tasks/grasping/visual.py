@@ -13,7 +13,7 @@ from icub_core.interfaces.feature_extractor import FeatureExtractor
 
 
 class VisualEncoder(ABC):
-    """Turns a image into one feature vector. Contract: deterministic; images of any size."""
+    """Turns an image into one feature vector. Contract: deterministic; images of any size."""
 
     @property
     @abstractmethod
@@ -22,7 +22,7 @@ class VisualEncoder(ABC):
 
     @abstractmethod
     def encode(self, rgb: NDArray[np.uint8]) -> torch.Tensor:
-        """Encode a image (H, W, 3) uint8: (F,) float32."""
+        """Encode an image (H, W, 3) uint8: (F,) float32."""
 
 
 class ImageEncoder(VisualEncoder):
@@ -38,7 +38,7 @@ class ImageEncoder(VisualEncoder):
         return self._extractor.region_dim
 
     def encode(self, rgb: NDArray[np.uint8]) -> torch.Tensor:
-        """Encode a image (H, W, 3) uint8: (region_dim,) float32, of root mean square 1."""
+        """Encode an image (H, W, 3) uint8: (region_dim,) float32, of root mean square 1."""
         height, width = rgb.shape[:2]
         with torch.no_grad():
             image = self._extractor.extract(rgb)
@@ -51,7 +51,7 @@ class VisualStack:
     """Features of the last three images of every world. A first image fills the whole history.
 
     One feature vector is kept for a step; the stack is made when it is asked for, which is what lets a replay buffer
-    keep F numbers a step instead of 10 F.
+    keep F numbers per step instead of 10 F.
     """
 
     def __init__(self, encoder: VisualEncoder, worlds: int) -> None:

@@ -1,4 +1,4 @@
-"""``icub plugins check``: the contract of a kind, tried on plugins, as a table."""
+"""What ``icub plugins check`` calls: the contract of a kind, tried on plugins, as a table."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def check_plugins(kind: str, names: Sequence[str], parameters: Mapping[str, Any]
     broken = 0
     for name in names:
         make = with_tiny_dependencies(kind, name, parameters)
-        make()  # a plugin that cannot be built at all is one error, not one a check
+        make()  # a plugin that cannot be built at all is one error, not one per check
         total = failed = 0
         console.print(f"{kind}={name}", style="bold")
         for result in run_checks(kind, make):
