@@ -17,7 +17,6 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +32,7 @@ from icub_segmenters.faithful_rpn import FaithfulRpn
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
 from icub_segmenters.feature_extractors.evaluation import feature_task_precision, proposal_recall
 from icub_segmenters.minibootstrap import Minibootstrap
-from icub_segmenters.online_rpn import OnlineRpn
+from icub_segmenters.online_rpn import OnlineRpn, cells_of, with_proposals
 from icub_segmenters.shared_rpn import SharedRpn
 
 RESULTS = Path(__file__).resolve().parent / "results" / "features.json"
@@ -66,10 +65,7 @@ class WithProposals(FeatureExtractor):
     def extract(self, rgb: NDArray[np.uint8]) -> ImageFeatures:
         """Extract as the whole does, and propose on-line."""
         features = self._whole.extract(rgb)
-        cells = self._whole.rpn_cells(features)
-        assert cells is not None
-        boxes, scores = self._rpn.propose(cells, features.image_size)
-        return replace(features, proposals=boxes, scores=scores)
+        return with_proposals(self._rpn, self._whole, features)
 
     def region_features(self, features: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
         """Describe boxes as the whole does."""
@@ -87,8 +83,7 @@ def taught_rpns(
     rpns = {name: way(lambda: load("online_head", "falkon")(), Minibootstrap()) for name, way in WAYS.items()}
     for number, (frame, instances) in enumerate(data):
         features = extractor.extract(frame.rgb)
-        cells = extractor.rpn_cells(features)
-        assert cells is not None
+        cells = cells_of(extractor, features)
         truth = torch.tensor(np.array([i.box for i in instances]), dtype=torch.float32).reshape(-1, 4)
         for rpn in rpns.values():
             rpn.observe(cells, truth, features.image_size, torch.Generator().manual_seed(number))

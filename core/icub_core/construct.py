@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable, Mapping
 from typing import Any, cast
@@ -17,6 +18,7 @@ from icub_core.config.schema import Parameter, Signature, node_type, restore, si
 from icub_core.errors import ConfigError, IcubError, PluginError, suggestion
 from icub_core.kinds import KINDS, get_kind
 from icub_core.registry import available, load, one_line
+from icub_core.renames import renamed_parameters
 
 Config = str | Mapping[str, Any]
 """A registry name, or a mapping with the key ``plugin`` and the constructor's parameters."""
@@ -107,10 +109,12 @@ def checked_parameters(kind: str, name: str, cls: type, values: Mapping[str, Any
     """Return every parameter of a constructor with its value or default, converted to its type; raises ConfigError."""
     wanted = signature(kind, name, cls)
     node = cast(DictConfig, OmegaConf.structured(node_type(kind, name, cls)))
-    for key, value in values.items():
+    for key, value in renamed_parameters(cls, values).items():
         if key not in wanted.parameters:
             raise unknown_parameter(kind, name, key, wanted)
         try:
+            if dataclasses.is_dataclass(value) and not isinstance(value, type):
+                value = dataclasses.asdict(value)
             OmegaConf.update(node, key, value, merge=isinstance(value, Mapping))
         except OmegaConfBaseException as cause:
             raise wrong_type(kind, name, wanted.parameters[key], value) from cause

@@ -66,6 +66,14 @@ class RgbdFrame:
         return PointCloud(points, frame="world", rgb=self.rgb[rows, columns], viewpoint=viewpoint)
 
 
+def tight_boxes(masks: NDArray[np.bool_]) -> FloatArray:
+    """Return the smallest boxes (N, 4) around masks (N, H, W), x1 and y1 exclusive; zeros for an empty mask."""
+    sides: list[NDArray[np.bool_]] = [np.any(masks, axis=1), np.any(masks, axis=2)]  # occupied columns, occupied rows
+    first = [side.argmax(axis=1) for side in sides]
+    last = [(side.shape[1] - side[:, ::-1].argmax(axis=1)) * side.max(axis=1) for side in sides]
+    return np.stack([*first, *last], axis=1).astype(np.float64)
+
+
 @dataclass(frozen=True, eq=False)
 class Instance:
     """One object seen in an image.
@@ -92,11 +100,9 @@ class Instance:
     @classmethod
     def from_mask(cls, label: str, mask: NDArray[np.bool_], score: float = 1.0) -> Instance:
         """Make an instance whose box is the tight box of `mask`; raises DataError for an empty mask."""
-        rows, columns = np.nonzero(mask)
-        if len(rows) == 0:
+        if not mask.any():
             raise DataError(f"the mask of '{label}' is empty; expected at least one pixel")
-        box = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], dtype=np.float64)
-        return cls(label, score, box, mask)
+        return cls(label, score, tight_boxes(mask[None])[0], mask)
 
 
 @dataclass(frozen=True, eq=False)

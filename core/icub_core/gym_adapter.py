@@ -66,7 +66,7 @@ class GymTask(gymnasium.Env[Observation, NDArray[np.float32]]):
         flags = bool(after["terminated"]), bool(after["truncated"])
         return self._observation(after), float(after["reward"]), *flags, info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Return what the robot's camera sees (240, 320, 3), or None without a render mode."""
         return self._task.render_world(0) if self.render_mode == "rgb_array" else None
 

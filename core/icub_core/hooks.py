@@ -10,8 +10,8 @@ A listener is any object with methods marked by `listen`; it is announced by an 
         def icub_episode_end(self, episode, success):
             logging.info("episode %d: %s", episode, success)
 
-Nothing in the core depends on a listener. One that raises is reported once and removed, and the run continues; a listener
-that wants to stop a run raises an `IcubError`.
+Nothing in the core depends on a listener. One that raises is reported once and removed, and the run continues; a
+listener that wants to stop a run raises an `IcubError`.
 """
 
 from __future__ import annotations

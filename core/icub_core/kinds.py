@@ -1,8 +1,8 @@
 """The kinds of plugins: what each is called everywhere and which interface it implements.
 
 One word is the key of the registry, the group of the configuration, the suffix of the entry-point group and, in a
-constructor, the name of the parameter that receives an instance of that kind (a zero-argument factory of instances where
-the annotation is a Callable).
+constructor, the name of the parameter that receives an instance of that kind (or a zero-argument factory of instances,
+where the annotation is a Callable).
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ def _interface_check(kind: str) -> Check:
 
 def _signature_check(kind: str) -> Check:
     def check_signature(make: Make) -> None:
-        """Its constructor's signature is a configuration: simple types, fitting defaults."""
+        """Its constructor's signature is a configuration: simple types and defaults that fit them."""
         from icub_core.config.schema import signature
         from icub_core.construct import checked_parameters
 

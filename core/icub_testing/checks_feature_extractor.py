@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from icub_core.interfaces.abilities import HasMaskBranch, ProposesCells
 from icub_core.interfaces.feature_extractor import FeatureExtractor
 from icub_testing.checks import Make
 from icub_testing.expect import expect, expect_close, expect_same, expect_tensor
@@ -132,9 +133,9 @@ def check_refined_boxes(make: Make) -> None:
 
 
 def check_mask_probabilities(make: Make) -> None:
-    """A pre-trained mask branch, where there is one, gives a share of 0..1 a pixel of a box."""
-    plugin = make()
-    if not hasattr(plugin, "mask_probabilities"):
+    """A pre-trained mask branch, where there is one, gives a probability for each pixel of a box."""
+    plugin: FeatureExtractor = make()
+    if not isinstance(plugin, HasMaskBranch):
         return
     masks = plugin.mask_probabilities(plugin.extract(_image()), _boxes())
     expect_tensor(masks, (3, plugin.mask_size, plugin.mask_size), "mask probabilities")
@@ -143,10 +144,10 @@ def check_mask_probabilities(make: Make) -> None:
 
 def check_rpn_cells(make: Make) -> None:
     """Cells for an on-line region proposal network, where there are any, agree in number with their anchors."""
-    plugin = make()
-    cells = plugin.rpn_cells(plugin.extract(_image()))
-    if cells is None:
+    plugin: FeatureExtractor = make()
+    if not isinstance(plugin, ProposesCells):
         return
+    cells = plugin.rpn_cells(plugin.extract(_image()))
     locations, anchors = cells.anchors.shape[:2]
     expect_tensor(cells.features, (locations, cells.features.shape[-1]), "features of cells")
     expect_tensor(cells.anchors, (locations, anchors, 4), "anchors")

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import math
+from typing import get_args
+
 import torch
+from torch.nn import functional
 
 from icub_core.errors import CheckpointError, DataError, NotFittedError
-from icub_core.interfaces.online_head import OnlineHead
+from icub_core.interfaces.abilities import SharesKernel
+from icub_core.interfaces.online_head import OnlineHead, Score
 from icub_testing.checks import Make
 from icub_testing.expect import expect, expect_close, expect_raises, expect_same, expect_tensor
 
 DIMENSIONS = 6
+KERNEL_TOLERANCE = 0.02
+"""Scores of one head by its own solver and from a system that was filled step by step may differ by rounding."""
 REFIT_TOLERANCE = 0.05
 """Scores of a used head may differ by its random numbers, far less than by what it was fitted to before."""
 
 
 def _data(seed: int = 0, problems: int = 2) -> tuple[torch.Tensor, torch.Tensor]:
-    """Draw two or more clouds far apart, +1 for a problem's own cloud and -1 for the rest."""
+    """Draw two or more clouds far apart, +1 for the cloud of a problem and -1 for the rest."""
     generator = torch.Generator().manual_seed(seed)
     clouds = problems + 1  # the last one belongs to no problem
     centers = 4.0 * torch.eye(DIMENSIONS)[:clouds]
@@ -32,7 +39,7 @@ def _fitted(make: Make, seed: int = 0, problems: int = 2) -> OnlineHead:
 
 
 def check_scores(make: Make) -> None:
-    """Scores are float32, a column per problem."""
+    """Scores are float32, one column per problem."""
     for problems in (1, 3):
         head = _fitted(make, problems=problems)
         expect_tensor(head.decision_function(_data(1, problems)[0]), (30 * (problems + 1), problems), "scores")
@@ -49,6 +56,44 @@ def check_learns(make: Make) -> None:
     expect(
         inside > outside, "higher scores for taught clouds than for the background", f"{inside:.3g} and {outside:.3g}"
     )
+
+
+def check_score_meaning(make: Make) -> None:
+    """Scores mean what `score` says: read so, they are no worse than undecided for positives and for negatives."""
+    head, (X, Y) = _fitted(make, problems=1), _data(1, problems=1)
+    meanings = get_args(Score)
+    expect(head.score in meanings, f"score to be {' or '.join(meanings)}", head.score)
+    scores = head.decision_function(X)
+    for side, name in ((Y > 0, "positives"), (Y < 0, "negatives")):
+        if head.score == "log_odds":
+            loss, undecided = float(functional.softplus(-Y[side] * scores[side]).mean()), math.log(2)
+        else:
+            loss, undecided = float((scores[side] - Y[side]).square().mean()), 1.0
+        expect(loss <= undecided + 1e-4, f"{name}: a loss of {head.score} scores of at most {undecided:.2f}", loss)
+
+
+def check_shares_kernel(make: Make) -> None:
+    """A head that shares its kernel gives the scores of `fit` when its system is filled step by step."""
+    head: OnlineHead = make()
+    X, Y = _data()
+    if not isinstance(head, SharesKernel):
+        return
+    chosen = head.choose_centers(Y)
+    expect(0 < len(chosen.unique()) == len(chosen), "distinct centers, at least one", chosen.tolist())
+    system = head.kernel_system(X[chosen], Y.shape[1])
+    system.add(X[:50], Y[:50])
+    system.add_rows(system.rows(X[50:]), Y[50:])
+    new = _data(1)[0]
+    scores = system.scores(system.rows(new))
+    head.adopt(system)
+    expect_close(head.decision_function(new), scores, KERNEL_TOLERANCE, "scores of the system and of the head")
+    fitted = _fitted(make).decision_function(new)
+    expect_close(fitted, scores, KERNEL_TOLERANCE, "scores after fit and of the system")
+    few = head.with_at_most(5)
+    expect(isinstance(few, OnlineHead), "another head from with_at_most", type(few).__name__)
+    expect(len(few.choose_centers(Y)) <= 5, "at most 5 centers", len(few.choose_centers(Y)))
+    expect(len(head.choose_centers(Y)) == len(chosen), "a head that with_at_most leaves as it is", "fewer centers")
+    expect_raises(NotFittedError, lambda: few.decision_function(new), "for the head from with_at_most, before fit")
 
 
 def check_unfitted(make: Make) -> None:
@@ -103,10 +148,10 @@ def check_not_finite(make: Make) -> None:
 
 
 def check_state_round_trip(make: Make) -> None:
-    """A head that takes over another one's state gives the same scores."""
+    """A head that loads the state of another one gives the same scores."""
     head, other, X = _fitted(make), make(), _data(1)[0]
     other.load_state_dict(head.state_dict())
-    expect_same(head.decision_function(X), other.decision_function(X), "scores after the state was taken over")
+    expect_same(head.decision_function(X), other.decision_function(X), "scores after the state was loaded")
 
 
 def check_bad_state(make: Make) -> None:

@@ -201,7 +201,7 @@ def check_ik_batch(make: Make) -> None:
 
 def check_gaze(make: Make) -> None:
     """Gaze control, where there is any, turns only some joints, within their limits, and answers out of reach too."""
-    robot = make()
+    robot: Robot = make()
     d = robot.description
     if not isinstance(robot, HasGaze):
         return
@@ -219,7 +219,7 @@ def check_gaze(make: Make) -> None:
 
 def check_collisions(make: Make) -> None:
     """A collision check, where there is any, finds nothing at home, and the table when the hand is in it."""
-    robot = make()
+    robot: Robot = make()
     d = robot.description
     if not isinstance(robot, ChecksCollisions):
         return

@@ -5,10 +5,10 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-import numpy as np
-
-from icub_core.data import Instance, RgbdFrame
+from icub_core.data import Instance, RgbdFrame, tight_boxes
 from icub_core.errors import CheckpointError, NotFittedError
+from icub_core.evaluation.overlap import mask_iou
+from icub_core.interfaces.abilities import AddsClasses
 from icub_core.interfaces.segmenter import Segmenter
 from icub_testing.checks import Make
 from icub_testing.expect import expect, expect_raises, expect_same
@@ -72,10 +72,8 @@ def check_finds(make: Make) -> None:
     frame, truth = draw_frame({"red": (50, 52, 17), "blue": (105, 80, 17)}, seed=7)
     found = _taught(make, "red", "blue").segment(frame)
     for instance in truth:
-        overlaps = [
-            (f.mask & instance.mask).sum() / (f.mask | instance.mask).sum() for f in found if f.label == instance.label
-        ]
-        best = max(overlaps, default=0.0)
+        same = [f.mask for f in found if f.label == instance.label]
+        best = float(mask_iou([instance.mask], same).max(initial=0.0))
         expect(best >= 0.5, f"a mask of '{instance.label}' with an overlap of 0.5 at least", f"{best:.2f}")
 
 
@@ -91,10 +89,8 @@ def check_masks(make: Make) -> None:
     for instance in _taught(make, "red").segment(frame):
         expect(instance.mask.shape == (130, 170), "a mask of (130, 170)", instance.mask.shape)
         expect(instance.mask.any(), "a mask with pixels", "an empty one")
-        rows, columns = np.nonzero(instance.mask)
-        x0, y0, x1, y1 = instance.box
-        inside = columns.min() >= x0 - 1 and rows.min() >= y0 - 1 and columns.max() < x1 + 1 and rows.max() < y1 + 1
-        expect(inside, "the mask within its box, give or take a pixel", instance.box.tolist())
+        beyond = (tight_boxes(instance.mask[None])[0] - instance.box) * [-1, -1, 1, 1]
+        expect(bool((beyond <= 1).all()), "the mask within its box, give or take a pixel", instance.box.tolist())
 
 
 def check_order(make: Make) -> None:
@@ -112,6 +108,21 @@ def check_keeps_old_classes(make: Make) -> None:
     expect(sorted(segmenter.classes) == ["blue", "red"], "the classes blue and red", segmenter.classes)
     labels = {i.label for i in segmenter.segment(_shown("red")[0][0])}
     expect("red" in labels, "red to be found after blue was taught", labels or "nothing")
+
+
+def check_adds_classes(make: Make) -> None:
+    """A segmenter that adds classes knows and finds the old and the new ones."""
+    segmenter = _taught(make, "red")
+    if not isinstance(segmenter, AddsClasses):
+        return
+    for sample in _shown("blue"):
+        segmenter.observe(*sample)
+    report = segmenter.add_classes()
+    expect(sorted(report.classes) == ["blue", "red"], "the report to name blue and red", report.classes)
+    expect(sorted(segmenter.classes) == ["blue", "red"], "the classes blue and red", segmenter.classes)
+    for color in ("red", "blue"):
+        labels = {i.label for i in segmenter.segment(_shown(color)[0][0])}
+        expect(color in labels, f"{color} to be found after blue was added", labels or "nothing")
 
 
 def check_negative_frames(make: Make) -> None:

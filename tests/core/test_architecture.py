@@ -91,7 +91,12 @@ def test_pyproject_names_exactly_the_packages_of_the_tree():
 
 def test_entry_points_are_of_known_kinds_and_lead_to_classes_in_the_tree():
     groups = PROJECT["project"]["entry-points"]
-    known = {kind.entry_point_group for kind in KINDS.values()} | {"icub.configs", "icub.hooks", "icub.benchmark"}
+    known = {kind.entry_point_group for kind in KINDS.values()} | {
+        "icub.configs",
+        "icub.hooks",
+        "icub.benchmark",
+        "icub.train",
+    }
     assert set(groups) <= known
     for group, entries in groups.items():
         if group == "icub.configs":
@@ -102,8 +107,9 @@ def test_entry_points_are_of_known_kinds_and_lead_to_classes_in_the_tree():
             base = NAMES[package].joinpath(*rest)
             file = base.with_suffix(".py") if base.with_suffix(".py").is_file() else base / "__init__.py"
             assert file.is_file(), f"{group} {name}: {target}"
-            classes = {node.name for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ClassDef)}
-            assert cls in classes, f"{group} {name}: {target}"
+            made = (ast.ClassDef, ast.FunctionDef)
+            names = {node.name for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, made)}
+            assert cls.partition(".")[0] in names, f"{group} {name}: {target}"
 
 
 def test_what_is_installed_is_what_pyproject_says():

@@ -111,7 +111,7 @@ class Composed(TinySegmenter):
     heads = factory("online_head", {"plugin": "tiny", "penalty": 0.5})
     built = build("segmenter", "composed", feature_extractor=extractor, online_head=heads, least_pixels=7)
     assert built.extractor is extractor
-    assert built._least_pixels == 7
+    assert built._min_pixels == 7
     first, second = built.heads
     assert isinstance(first, TinyHead)
     assert first is not second

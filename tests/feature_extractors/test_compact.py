@@ -10,16 +10,16 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from icub_core.errors import CheckpointError, ConfigError, DataError, WeightsError
+from icub_core.weights import read_card
 from icub_segmenters.feature_extractors import training
-from icub_segmenters.feature_extractors.compact import (
+from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
+from icub_segmenters.feature_extractors.compact_regions import (
     BLOCKS,
     CENTER,
     SCALE,
-    CompactMaskRcnn,
     CompactRegions,
     fold_batch_norm,
     load_compact,
-    read_card,
 )
 from icub_segmenters.feature_extractors.evaluation import paste
 from icub_segmenters.feature_extractors.network import CompactNetwork
@@ -218,7 +218,7 @@ def test_cells_describe_every_anchor_once(extractor):
 def test_shipped_weights_are_small_and_have_a_card():
     file = SHIPPED / "compact.safetensors"
     assert file.stat().st_size <= 25_000_000
-    card = read_card()
+    card = read_card(SHIPPED / "compact.json")
     assert {"command", "seed", "data", "training_seconds", "machine", "figures"} <= card.keys()
     assert str(Path.home()) not in json.dumps(card)
 
@@ -290,13 +290,6 @@ class DrawnTask:
         return Sample
 
 
-def test_tight_boxes_of_masks():
-    masks = torch.zeros(2, 10, 12, dtype=torch.uint8)
-    masks[0, 3:5, 2:9] = 1
-    masks[1, 9, 11] = 1
-    assert training.boxes_of(masks).tolist() == [[2, 3, 9, 5], [11, 9, 12, 10]]
-
-
 def test_learning_rate_warms_up_and_falls():
     rates = [training.learning_rate(s, 10_000) for s in np.linspace(0, 1, 11)]
     assert rates == sorted(rates, reverse=True)
@@ -339,29 +332,14 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path):
 def test_a_damaged_checkpoint_is_named(tmp_path):
     file = tmp_path / "checkpoint.safetensors"
     file.write_bytes(b"12345678 nonsense")
-    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is not a checkpoint"):
+    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is truncated"):
         training.read_checkpoint(file)
-
-
-def test_a_checkpoint_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
-    file = tmp_path / "c.safetensors"
-    training.write_safetensors(file, {"a": torch.ones(2)}, {})
-    old = file.read_bytes()
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(training, "save_file", full)
-    with pytest.raises(CheckpointError, match="No space left"):
-        training.write_safetensors(file, {"a": torch.zeros(9)}, {})
-    assert file.read_bytes() == old
-    assert list(tmp_path.iterdir()) == [file]
 
 
 @pytest.mark.slow
 def test_two_workers_learn_export_and_resume(tmp_path):
     reports = []
-    checkpoint = training.train(
+    checkpoint = training.fit(
         DrawnTask(), tmp_path, training.Budget(images=480), seed=1, workers=2, progress=reports.append
     )
     assert reports[-1]["mask"] < reports[0]["mask"]
@@ -370,7 +348,7 @@ def test_two_workers_learn_export_and_resume(tmp_path):
     extractor = CompactMaskRcnn(str(tmp_path / "w.safetensors"))
     image, boxes = picture()
     assert iou(boxes, extractor.extract(image).proposals).max(dim=1).values.min() > 0.4
-    training.train(DrawnTask(), tmp_path, training.Budget(images=496), seed=1, workers=2)
+    training.fit(DrawnTask(), tmp_path, training.Budget(images=496), seed=1, workers=2)
     assert training.read_checkpoint(checkpoint)[1].images == 496
     with pytest.raises(CheckpointError, match="seed=1, asked for 2"):
         training._Trainer(training.TrainingState(2, 2, 2)).load(checkpoint)

@@ -1,21 +1,12 @@
 """The benchmark of the heads runs from end to end at a small size."""
 
-import importlib
-import importlib.util
 import json
-import sys
-from pathlib import Path
 
-PATH = Path(__file__).parents[2] / "benchmarks" / "heads.py"
+from icub_benchmarks.heads import run, sweep
 
 
-def test_the_small_size_measures_every_figure_that_is_to_be_reached(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(PATH.parent))  # as when it is run as a script
-    spec = importlib.util.spec_from_file_location("heads_benchmark", PATH)
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, spec.name, module)  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    assert module.main(["--quick", "--out", str(tmp_path / "heads.json")]) == 0
+def test_the_small_size_measures_every_figure_that_is_to_be_reached(tmp_path):
+    assert run.main(["--quick", "--out", str(tmp_path / "heads.json")]) == 0
     figures = json.loads((tmp_path / "heads.json").read_text())["figures"]
     for key in ("minibootstrap_speedup", "minibootstrap_map_minus_sklearn", "solve_over_limit", "store_ratio"):
         assert f"heads.{key}" in figures
@@ -26,9 +17,7 @@ def test_the_small_size_measures_every_figure_that_is_to_be_reached(tmp_path, mo
     assert figures["heads.store_ratio_of_copies"]["value"] > figures["heads.store_ratio"]["value"]
 
 
-def test_a_whole_sweep_is_drawn_and_varies_one_number_at_a_time(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(PATH.parent))
-    sweep = importlib.import_module("icub_benchmarks.heads.sweep")
+def test_a_whole_sweep_is_drawn_and_varies_one_number_at_a_time(tmp_path):
     wanted = sweep.solves(sweep.Sizes())
     assert len(wanted) == sum(map(len, sweep.AXES.values())) - 3
     for solve in wanted:

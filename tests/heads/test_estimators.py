@@ -24,14 +24,14 @@ def test_every_check_of_scikit_learn_passes_without_exception(make):
 
 def test_the_regressor_is_kernel_ridge_regression_on_centered_targets():
     X, y = make_regression(120, 4, noise=5.0, random_state=0)
-    ours = FalkonRegressor(sigma=2.0, lam=1e-3).fit(X, y)
+    ours = FalkonRegressor(sigma=2.0, penalty=1e-3).fit(X, y)
     theirs = KernelRidge(alpha=1e-3 * 120, kernel="rbf", gamma=1 / 8).fit(X, y - y.mean())
     np.testing.assert_allclose(ours.predict(X), theirs.predict(X) + y.mean(), rtol=1e-6)
 
 
 def test_grid_search_over_the_width_works():
     X, y = load_iris(return_X_y=True)
-    pipeline = make_pipeline(StandardScaler(), FalkonClassifier(lam=1e-4))
+    pipeline = make_pipeline(StandardScaler(), FalkonClassifier(penalty=1e-4))
     search = GridSearchCV(pipeline, {"falkonclassifier__sigma": [0.05, 2.0]}, cv=3).fit(X, y)
     assert search.best_params_ == {"falkonclassifier__sigma": 2.0}
     assert search.best_score_ > 0.93
@@ -42,8 +42,8 @@ def test_grid_search_over_the_width_works():
 def test_the_names_of_classes_and_the_order_of_samples_do_not_matter(names, seed):
     X, y = load_iris(return_X_y=True)
     order = np.random.default_rng(seed).permutation(len(X))
-    plain = FalkonClassifier(sigma=1.0, lam=1e-4).fit(X, y)
-    renamed = FalkonClassifier(sigma=1.0, lam=1e-4).fit(X[order], np.array(names)[y[order]])
+    plain = FalkonClassifier(sigma=1.0, penalty=1e-4).fit(X, y)
+    renamed = FalkonClassifier(sigma=1.0, penalty=1e-4).fit(X[order], np.array(names)[y[order]])
     assert (renamed.predict(X) == np.array(names)[plain.predict(X)]).all()
     columns = [list(renamed.classes_).index(name) for name in names]
     np.testing.assert_allclose(renamed.decision_function(X)[:, columns], plain.decision_function(X), atol=1e-6)
@@ -53,7 +53,7 @@ def test_the_checks_would_notice_a_broken_estimator():
     class Forgetful(FalkonRegressor):
         def fit(self, X, y, sample_weight=None):
             super().fit(X, y, sample_weight)
-            self.lam = 2 * self.lam  # fit may not change parameters
+            self.penalty = 2 * self.penalty  # fit may not change parameters
             return self
 
     failures = 0

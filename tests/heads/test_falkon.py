@@ -27,10 +27,10 @@ def problem(n=300, d=6, t=3, seed=0, dtype=torch.float64):
 @pytest.mark.parametrize("solver", ["direct", "conjugate_gradients"])
 def test_with_all_samples_as_centers_it_is_kernel_ridge_regression(solver):
     X, Y = problem()
-    lam, sigma = 1e-3, 2.0
-    head = Falkon(sigma=sigma, lam=lam, centers=len(X), solver=solver)
+    penalty, sigma = 1e-3, 2.0
+    head = Falkon(sigma=sigma, penalty=penalty, n_centers=len(X), solver=solver)
     head.fit(X, Y)
-    reference = KernelRidge(alpha=lam * len(X), kernel="rbf", gamma=0.5 / sigma**2).fit(X.numpy(), Y.numpy())
+    reference = KernelRidge(alpha=penalty * len(X), kernel="rbf", gamma=0.5 / sigma**2).fit(X.numpy(), Y.numpy())
     fresh = torch.randn(50, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     np.testing.assert_allclose(head.decision_function(fresh).numpy(), reference.predict(fresh.numpy()), atol=1e-7)
 
@@ -40,11 +40,11 @@ def test_with_all_samples_as_centers_it_is_kernel_ridge_regression(solver):
 def test_every_kernel_solves_dense_kernel_ridge_regression(kernel, solver):
     X, Y = problem(n=150, d=40)
     fresh = problem(n=30, d=40, seed=5)[0]
-    sigma, lam = 6.0, 1e-3
-    head = Falkon(kernel, sigma, lam, centers=len(X), solver=solver)
+    sigma, penalty = 6.0, 1e-3
+    head = Falkon(kernel, sigma, penalty, n_centers=len(X), solver=solver)
     head.fit(X, Y)
     k = make_kernel(kernel, sigma)
-    reference = KernelRidge(alpha=lam * len(X), kernel="precomputed").fit(k(X, X).numpy(), Y.numpy())
+    reference = KernelRidge(alpha=penalty * len(X), kernel="precomputed").fit(k(X, X).numpy(), Y.numpy())
     # the linear kernel's matrix has rank 40: conjugate gradients see the jitter that its factorization needs
     tolerance = 1e-4 if kernel == "linear" else 1e-7
     np.testing.assert_allclose(
@@ -55,7 +55,7 @@ def test_every_kernel_solves_dense_kernel_ridge_regression(kernel, solver):
 @pytest.mark.parametrize("solver", ["direct", "conjugate_gradients"])
 def test_small_blocks_of_bounded_memory_give_the_same_solution(solver, monkeypatch):
     X, Y = problem(n=1500)
-    whole, blocks = Falkon(sigma=2.0, centers=60, solver=solver), Falkon(sigma=2.0, centers=60, solver=solver)
+    whole, blocks = Falkon(sigma=2.0, n_centers=60, solver=solver), Falkon(sigma=2.0, n_centers=60, solver=solver)
     whole.fit(X, Y)
     monkeypatch.setattr(nystrom, "BLOCK_BYTES", 1)  # 256 rows, the least
     monkeypatch.setattr(conjugate_gradients, "STORED_ROWS_BYTES", 0)
@@ -75,7 +75,7 @@ def test_small_blocks_of_bounded_memory_give_the_same_solution(solver, monkeypat
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-6), (torch.float32, 2e-2)])
 def test_nystrom_solution_equals_the_normal_equations_solved_by_numpy(solver, dtype, tolerance):
     X, Y = problem(n=800, dtype=dtype)
-    head = Falkon(sigma=2.0, lam=1e-4, centers=120, solver=solver, seed=3)
+    head = Falkon(sigma=2.0, penalty=1e-4, n_centers=120, solver=solver, seed=3)
     head.fit(X, Y)
     C = head.centers.double().numpy()
     K, K_MM = rbf_kernel(X.double().numpy(), C, gamma=1 / 8), rbf_kernel(C, C, gamma=1 / 8)
@@ -90,7 +90,7 @@ def test_float32_features_of_realistic_size_are_close_to_the_float64_solution():
     Y = torch.where(X[:, :2] + 0.3 * X[:, 2:4] > 1.0, 1.0, -1.0)
     scores = []
     for samples in (X, X.double()):
-        head = Falkon(sigma=15.0, lam=1e-5, centers=400)
+        head = Falkon(sigma=15.0, penalty=1e-5, n_centers=400)
         head.fit(samples, Y)
         scores.append(head.decision_function(samples).double())
     assert torch.linalg.norm(scores[0] - scores[1]) < 5e-5 * torch.linalg.norm(scores[1])
@@ -110,7 +110,7 @@ def test_kernels_are_what_their_formula_says(kernel):
 
 def test_a_linear_kernel_with_more_centers_than_dimensions_still_solves():
     X, Y = problem(n=400, dtype=torch.float32)
-    head = Falkon(kernel="linear", sigma=1.0, lam=1e-6, centers=200)
+    head = Falkon(kernel="linear", sigma=1.0, penalty=1e-6, n_centers=200)
     head.fit(X, Y)
     solution = np.linalg.lstsq(X.numpy(), Y.numpy(), rcond=None)[0]
     np.testing.assert_allclose(head.decision_function(X).numpy(), X.numpy() @ solution, atol=2e-2)
@@ -118,7 +118,7 @@ def test_a_linear_kernel_with_more_centers_than_dimensions_still_solves():
 
 def test_duplicate_samples_as_centers_do_no_harm():
     X, Y = problem(n=100, dtype=torch.float32)
-    head = Falkon(sigma=2.0, lam=1e-4, centers=300)
+    head = Falkon(sigma=2.0, penalty=1e-4, n_centers=300)
     head.fit(X.repeat(3, 1), Y.repeat(3, 1))
     reference = KernelRidge(alpha=1e-4 * 100, kernel="rbf", gamma=1 / 8).fit(X.numpy(), Y.numpy())
     np.testing.assert_allclose(head.decision_function(X).numpy(), reference.predict(X.numpy()), atol=2e-2)
@@ -126,12 +126,12 @@ def test_duplicate_samples_as_centers_do_no_harm():
 
 def test_weight_two_is_the_sample_twice():
     X, Y = problem(n=100)
-    twice = Falkon(sigma=2.0, lam=1e-3)
+    twice = Falkon(sigma=2.0, penalty=1e-3)
     twice.fit(torch.cat([X, X[:30]]), torch.cat([Y, Y[:30]]), centers=X)
     weight = torch.ones(100)
     weight[:30] = 2
     for solver in ("direct", "conjugate_gradients"):
-        weighted = Falkon(sigma=2.0, lam=1e-3, solver=solver)
+        weighted = Falkon(sigma=2.0, penalty=1e-3, solver=solver)
         weighted.fit(X, Y, weight, centers=X)
         torch.testing.assert_close(weighted.decision_function(X), twice.decision_function(X), atol=1e-6, rtol=0)
 
@@ -140,10 +140,10 @@ def test_weight_two_is_the_sample_twice():
 @given(seed=st.integers(0, 10_000))
 def test_order_of_samples_and_of_problems_does_not_matter(seed):
     X, Y = problem(n=80, seed=seed)
-    head = Falkon(sigma=2.0, lam=1e-3)
+    head = Falkon(sigma=2.0, penalty=1e-3)
     head.fit(X, Y)
     rows = torch.randperm(80, generator=torch.Generator().manual_seed(seed))
-    shuffled = Falkon(sigma=2.0, lam=1e-3)
+    shuffled = Falkon(sigma=2.0, penalty=1e-3)
     shuffled.fit(X[rows], Y[rows][:, [2, 0, 1]])
     torch.testing.assert_close(
         shuffled.decision_function(X), head.decision_function(X)[:, [2, 0, 1]], atol=1e-6, rtol=0
@@ -154,7 +154,7 @@ def test_order_of_samples_and_of_problems_does_not_matter(seed):
 @given(seed=st.integers(0, 10_000), factor=st.floats(0.01, 100))
 def test_scaling_samples_and_sigma_alike_changes_nothing_and_scores_are_linear_in_targets(seed, factor):
     X, Y = problem(n=80, seed=seed)
-    head, scaled = Falkon(sigma=2.0, lam=1e-3), Falkon(sigma=2.0 * factor, lam=1e-3)
+    head, scaled = Falkon(sigma=2.0, penalty=1e-3), Falkon(sigma=2.0 * factor, penalty=1e-3)
     head.fit(X, Y)
     scaled.fit(X * factor, -3.0 * Y)
     torch.testing.assert_close(
@@ -166,7 +166,7 @@ def test_scaling_samples_and_sigma_alike_changes_nothing_and_scores_are_linear_i
 @given(seed=st.integers(0, 10_000), cut=st.integers(30, 150))
 def test_partial_fit_equals_a_batch_fit_with_the_same_centers(seed, cut):
     X, Y = problem(n=160, seed=seed)
-    pieces, batch = Falkon(sigma=2.0, lam=1e-3, centers=25), Falkon(sigma=2.0, lam=1e-3)
+    pieces, batch = Falkon(sigma=2.0, penalty=1e-3, n_centers=25), Falkon(sigma=2.0, penalty=1e-3)
     pieces.fit(X[:cut], Y[:cut])
     pieces.partial_fit(X[cut:], Y[cut:])
     batch.fit(X, Y, centers=pieces.centers)
@@ -176,7 +176,7 @@ def test_partial_fit_equals_a_batch_fit_with_the_same_centers(seed, cut):
 def test_a_new_problem_takes_the_earlier_samples_as_negatives():
     X, Y = problem(n=160, t=2)
     Y[:100, 1] = -1
-    grown, batch = Falkon(sigma=2.0, lam=1e-3, centers=25), Falkon(sigma=2.0, lam=1e-3)
+    grown, batch = Falkon(sigma=2.0, penalty=1e-3, n_centers=25), Falkon(sigma=2.0, penalty=1e-3)
     grown.fit(X[:100], Y[:100, :1])
     grown.partial_fit(X[100:], Y[100:])
     batch.fit(X, Y, centers=grown.centers)
@@ -185,7 +185,7 @@ def test_a_new_problem_takes_the_earlier_samples_as_negatives():
 
 def test_extending_the_centers_equals_starting_with_them():
     X, Y = problem(n=160)
-    head, whole = Falkon(sigma=2.0, lam=1e-3), Falkon(sigma=2.0, lam=1e-3)
+    head, whole = Falkon(sigma=2.0, penalty=1e-3), Falkon(sigma=2.0, penalty=1e-3)
     head.fit(X, Y, centers=X[:20])
     head.extend_centers(X[20:50], X, Y)
     whole.fit(X, Y, centers=X[:50])
@@ -197,7 +197,7 @@ def test_extending_the_centers_equals_starting_with_them():
 
 def test_centers_are_not_extended_on_other_samples_than_were_fitted():
     X, Y = problem(n=60)
-    head = Falkon(sigma=2.0, lam=1e-3)
+    head = Falkon(sigma=2.0, penalty=1e-3)
     with pytest.raises(ConfigError, match="extend_centers"):
         head.extend_centers(X[:5], X, Y)
     head.fit(X, Y, centers=X[:20])
@@ -293,7 +293,7 @@ def test_bad_input_is_named_and_leaves_the_head_usable():
 @pytest.mark.parametrize("solver", ["direct", "conjugate_gradients"])
 def test_repeated_centers_give_the_function_of_the_distinct_ones(solver):
     X, Y = problem(n=200)
-    head, once = Falkon(sigma=2.0, lam=1e-4, solver=solver), Falkon(sigma=2.0, lam=1e-4, solver="direct")
+    head, once = Falkon(sigma=2.0, penalty=1e-4, solver=solver), Falkon(sigma=2.0, penalty=1e-4, solver="direct")
     head.fit(X, Y, centers=X[:30].repeat(3, 1))
     once.fit(X, Y, centers=X[:30])
     torch.testing.assert_close(head.decision_function(X), once.decision_function(X), atol=1e-3, rtol=0)
@@ -305,7 +305,7 @@ def test_a_class_without_or_with_one_or_with_only_positives_is_fitted_beside_oth
     X, Y = problem(n=300, t=2)
     Y[:, 0] = -1
     Y[:positives, 0] = 1
-    head = Falkon(sigma=2.0, lam=1e-5, centers=200, selection=selection)
+    head = Falkon(sigma=2.0, penalty=1e-5, n_centers=200, selection=selection)
     head.fit(X, Y)
     scores = head.decision_function(X)
     assert (torch.sign(scores[positives + 20 :, 0]) == -1).float().mean() > 0.98 or positives == 300
@@ -331,7 +331,7 @@ def test_half_precision_is_computed_in_single_and_whole_numbers_are_refused():
 
 
 def test_one_sample_one_class_and_constant_features_are_handled():
-    head = Falkon(sigma=2.0, lam=1e-3)
+    head = Falkon(sigma=2.0, penalty=1e-3)
     head.fit(torch.ones(1, 4), torch.ones(1, 1))
     assert head.decision_function(torch.ones(1, 4)).item() == pytest.approx(1 / (1 + 1e-3), abs=1e-4)
     head.fit(torch.zeros(50, 4), -torch.ones(50, 2))
@@ -345,8 +345,8 @@ def test_one_sample_one_class_and_constant_features_are_handled():
         ({"solver": "dirct"}, "Did you mean 'direct'"),
         ({"selection": "balance"}, "Did you mean 'balanced'"),
         ({"sigma": 0.0}, "sigma is 0.0"),
-        ({"lam": 0.0}, "lam is 0.0"),
-        ({"centers": 0}, "centers is 0"),
+        ({"penalty": 0.0}, "penalty is 0.0"),
+        ({"n_centers": 0}, "n_centers is 0"),
     ],
 )
 def test_impossible_options_are_refused(options, message):

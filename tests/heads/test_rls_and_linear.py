@@ -19,7 +19,7 @@ def boxes(n=200, d=10, seed=0):
 
 def test_without_whitening_it_is_ridge_regression_with_a_penalized_bias():
     X, Y = boxes()
-    head = Rls(lam=5.0, whiten=False)
+    head = Rls(penalty=5.0, whiten=False)
     head.fit(X, Y)
     design = np.c_[X.numpy(), np.ones(len(X))]
     mean = Y.numpy().mean(axis=0)
@@ -30,7 +30,7 @@ def test_without_whitening_it_is_ridge_regression_with_a_penalized_bias():
 def test_whitening_all_targets_with_one_penalty_does_not_change_the_ridge_solution():
     # (X^T X + lam I)^-1 X^T (Y T) T^-1: a shared penalty commutes with any mixing of the targets
     X, Y = boxes()
-    plain, white = Rls(lam=5.0, whiten=False), Rls(lam=5.0, whiten=True)
+    plain, white = Rls(penalty=5.0, whiten=False), Rls(penalty=5.0, whiten=True)
     plain.fit(X, Y)
     white.fit(X, Y)
     torch.testing.assert_close(plain.decision_function(X), white.decision_function(X), atol=1e-8, rtol=0)
@@ -38,7 +38,7 @@ def test_whitening_all_targets_with_one_penalty_does_not_change_the_ridge_soluti
 
 def test_weights_count_as_repetitions_and_one_sample_predicts_its_target():
     X, Y = boxes(40)
-    weighted, repeated = Rls(lam=2.0), Rls(lam=2.0)
+    weighted, repeated = Rls(penalty=2.0), Rls(penalty=2.0)
     weighted.fit(X, Y, torch.cat([torch.full((10,), 3.0), torch.ones(30)]))
     repeated.fit(torch.cat([X, X[:10], X[:10]]), torch.cat([Y, Y[:10], Y[:10]]))
     torch.testing.assert_close(weighted.decision_function(X), repeated.decision_function(X), atol=1e-8, rtol=0)
@@ -125,7 +125,7 @@ def test_impossible_options_of_the_linear_head_are_refused(options):
 
 def test_rls_refuses_a_penalty_of_nothing():
     with pytest.raises(ConfigError):
-        Rls(lam=0.0)
+        Rls(penalty=0.0)
 
 
 @pytest.mark.parametrize("n", [5, 60])
@@ -133,7 +133,7 @@ def test_fewer_samples_than_features_give_the_same_ridge_solution(n):
     generator = torch.Generator().manual_seed(0)
     X = torch.randn(n, 20, generator=generator, dtype=torch.float64)
     Y = torch.randn(n, 2, generator=generator, dtype=torch.float64)
-    head = Rls(lam=0.5, whiten=False)
+    head = Rls(penalty=0.5, whiten=False)
     head.fit(X, Y)
     wide = torch.cat([X, torch.ones(n, 1, dtype=torch.float64)], dim=1)
     expected = torch.linalg.solve(wide.T @ wide + 0.5 * torch.eye(21, dtype=torch.float64), wide.T @ (Y - Y.mean(0)))

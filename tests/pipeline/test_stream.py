@@ -23,7 +23,7 @@ def training_images(count=4):
 
 def learner():
     def head():
-        return Falkon(sigma=15.0, lam=1e-5, centers=100)
+        return Falkon(sigma=15.0, penalty=1e-5, n_centers=100)
 
     return OnlineSegmenter(tiny_class("feature_extractor")(), head, composites=1, seed=3)
 

@@ -72,7 +72,7 @@ def training_images(labels, count=6, seed=0):
 
 
 def make_falkon():
-    return Falkon(sigma=15.0, lam=1e-5, centers=200, selection="balanced")
+    return Falkon(sigma=15.0, penalty=1e-5, n_centers=200, selection="balanced")
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from icub_segmenters.baselines.linear_softmax import LinearSoftmax, SoftmaxDetec
 from icub_segmenters.baselines.ours_serial import OursSerial
 from icub_segmenters.heads.linear import Linear
 from icub_segmenters.minibootstrap import Minibootstrap
+from icub_segmenters.online_rpn import with_proposals
 from icub_testing.tiny import tiny_class
 from icub_testing.tiny.things import draw_frame
 
@@ -40,7 +41,8 @@ def test_ours_serial_extracts_a_second_time_after_the_last_frame_with_proposals_
     assert extractor.extracted == 12
     assert {"rpn", "features", "detection", "masks"} == set(report.parts)
     assert len(serial.store) > 0
-    proposed = serial._proposed(extractor.extract(draw_frame({"red": (60, 60, 17)}, seed=9)[0].rgb))
+    image = extractor.extract(draw_frame({"red": (60, 60, 17)}, seed=9)[0].rgb)
+    proposed = with_proposals(serial.rpn, extractor, image)
     own, _ = serial.rpn.propose(extractor.rpn_cells(proposed), proposed.image_size)
     assert torch.equal(proposed.proposals, own)
 
@@ -65,9 +67,9 @@ def test_linear_scores_order_regions_as_softmax_probabilities_do():
     torch.testing.assert_close(scores.double().sigmoid(), probability, atol=1e-6, rtol=1e-4)
 
 
-def test_the_linear_rival_sees_all_negatives_and_reports_doubtful_finds_too(falkon):
+def test_the_linear_baseline_sees_all_negatives_and_reports_doubtful_finds_too(falkon):
     baseline = LinearSoftmax(Counting(), lambda: Linear(epochs=5), negatives=500, composites=0)
-    assert (baseline.procedure.batches, baseline.procedure.batch_size) == (1, 500)
-    assert baseline.lowest_score < -5
+    assert (baseline.minibootstrap.batches, baseline.minibootstrap.batch_size) == (1, 500)
+    assert baseline.procedure.min_score < -5
     shown(baseline)
     assert baseline.update().classes == ("red", "blue")

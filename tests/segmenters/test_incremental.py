@@ -19,7 +19,7 @@ DIM = 24
 
 
 def make_head():
-    return Falkon(sigma=6.0, lam=1e-5, centers=150)
+    return Falkon(sigma=6.0, penalty=1e-5, n_centers=150)
 
 
 def blob(center, count, seed, spread=0.5):

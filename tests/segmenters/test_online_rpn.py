@@ -24,7 +24,7 @@ WAYS = {"faithful": FaithfulRpn, "shared": SharedRpn}
 
 
 def make_head():
-    return Falkon(sigma=20.0, lam=1e-5, centers=300)
+    return Falkon(sigma=20.0, penalty=1e-5, n_centers=300)
 
 
 def picture(seed, objects=2, size=SIZE):

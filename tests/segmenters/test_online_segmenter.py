@@ -12,6 +12,7 @@ from icub_core.errors import CheckpointError, ConfigError, DataError, NotFittedE
 from icub_core.evaluation.detection import evaluate_instances
 from icub_segmenters.heads.linear import Linear
 from icub_segmenters.online_segmenter import OnlineSegmenter
+from icub_segmenters.procedure import Procedure
 
 COLORS = ["red", "green", "blue"]
 
@@ -57,8 +58,8 @@ def test_taught_colors_are_found_and_the_untaught_is_not(make, painter, teacher,
 
 
 def test_a_linear_head_serves_as_well(make, painter, teacher):
-    segmenter = make(head=lambda: Linear(epochs=30, learning_rate=0.01))
-    segmenter.lowest_score = -5.0  # log odds have a scale of their own
+    procedure = Procedure(min_score=-5.0)  # log odds have a scale of their own
+    segmenter = make(head=lambda: Linear(epochs=30, learning_rate=0.01), procedure=procedure)
     teach(segmenter, teacher(COLORS))
     truth = [[i for i in instances if i.label != "yellow"] for _, instances in scenes(painter)]
     assert evaluate_instances(truth, [segmenter.segment(f) for f, _ in scenes(painter)], COLORS).map50_segm > 0.9
@@ -213,6 +214,7 @@ def test_foreign_and_broken_files_are_refused_and_change_nothing(make, painter, 
         ({"mode": "sharred"}, "Did you mean 'shared'"),
         ({"masks": "on-line"}, "Did you mean 'online'"),
         ({"masks": "pretrained"}, "mask branch"),
+        ({"proposals": "online"}, "region proposal network"),
         ({"composites": -1}, "composites is -1"),
         ({"batches": 0}, "Minibootstrap of 0 batches"),
     ],

@@ -152,7 +152,7 @@ def test_a_class_is_trained_on_positives_and_ever_harder_negatives():
     negatives = negatives[torch.randperm(len(negatives), generator=torch.Generator().manual_seed(1))]
     Counting.sizes.clear()
     procedure = Minibootstrap(batches=5, batch_size=500)
-    head = procedure.train_class(lambda: Counting(sigma=10.0, lam=1e-5, centers=300), X, positives, negatives)
+    head = procedure.train_class(lambda: Counting(sigma=10.0, penalty=1e-5, n_centers=300), X, positives, negatives)
     assert Counting.sizes[0] == 60 + 500
     assert len(Counting.sizes) == 5
     assert max(Counting.sizes[1:]) < 500  # most of a batch is easy
@@ -163,7 +163,7 @@ def test_a_class_is_trained_on_positives_and_ever_harder_negatives():
 def test_rounds_follow_algorithm_1_step_by_step():
     X, label = blobs(classes=1, negatives=900)
     positives, negatives = torch.nonzero(label == 0).flatten(), torch.nonzero(label != 0).flatten()
-    make = lambda: Falkon(sigma=10.0, lam=1e-5, centers=200)  # noqa: E731
+    make = lambda: Falkon(sigma=10.0, penalty=1e-5, n_centers=200)  # noqa: E731
     head = Minibootstrap(batches=3, batch_size=300).train_class(make, X, positives, negatives)
 
     def train(negatives):
@@ -184,7 +184,7 @@ def test_rounds_follow_algorithm_1_step_by_step():
 
 
 @pytest.mark.parametrize(
-    "make", [lambda: Falkon(sigma=10.0, centers=300), lambda: Linear(epochs=10, learning_rate=0.01)]
+    "make", [lambda: Falkon(sigma=10.0, n_centers=300), lambda: Linear(epochs=10, learning_rate=0.01)]
 )
 def test_shared_training_tells_all_classes_apart(make):
     X, label = blobs()
@@ -233,12 +233,12 @@ def test_a_class_without_positives_is_never_found_and_one_positive_is_enough(sha
     lonely = store.features[-1:] + 20
     nowhere = torch.tensor([[5.0, 5, 25, 25]])
     store.append(Regions(lonely, nowhere, nowhere, torch.tensor([3]), torch.tensor([3])))
-    detector = OnlineDetector(lambda: Falkon(sigma=15.0, centers=300), Minibootstrap(2, 100), shared=shared)
+    detector = OnlineDetector(lambda: Falkon(sigma=15.0, n_centers=300), Minibootstrap(2, 100), shared=shared)
     detector.train(store, 4, torch.Generator().manual_seed(0))
     scores = detector.scores(detector.normalization(store.features))
     assert (scores[:, 2] == NEVER).all()
     assert scores[-1].argmax() == 3
-    copy = OnlineDetector(detector.make_head, detector.procedure, shared=shared)
+    copy = OnlineDetector(detector.make_head, detector.minibootstrap, shared=shared)
     copy.load_state_dict(detector.state_dict())
     assert torch.equal(copy.scores(detector.normalization(store.features)), scores)
 

@@ -26,7 +26,7 @@ def limit(sizes: Sizes, seed: int, _: Progress) -> Iterator[dict[str, Figure]]:
     mixture = Mixture(sizes, seed)
     X, label = mixture.labeled(n // (2 * t), n - t * (n // (2 * t)))
     Y = one_vs_rest(label, t)
-    head = Falkon(sigma=SIGMA, lam=LAM, centers=M, solver="direct")
+    head = Falkon(sigma=SIGMA, penalty=LAM, n_centers=M, solver="direct")
     rates, times = [], []
     for _repetition in range(REPETITIONS):  # interleaved: both meet the machine in the same mood
         rates.append(best_product_rate(3 * M))
@@ -85,7 +85,7 @@ def minibootstrap(sizes: Sizes, seed: int, progress: Progress) -> Iterator[dict[
     background = background[torch.randperm(len(background), generator=generator)]
 
     def head() -> Falkon:
-        return Falkon(sigma=SIGMA, lam=LAM, centers=sizes.centers, selection="balanced", solver="direct")
+        return Falkon(sigma=SIGMA, penalty=LAM, n_centers=sizes.centers, selection="balanced", solver="direct")
 
     def shared() -> torch.Tensor:
         return procedure.train_shared(head, X, label, background, sizes.classes)

@@ -74,7 +74,7 @@ def _against_nystroem(solve: Solve, tests: int, seed: int) -> dict[str, Figure]:
     X, label, mixture = _samples(solve, tests, seed)
     Y = one_vs_rest(label, solve.t)
     key = f"heads.sweep.{solve.key}"
-    ours, theirs = Falkon(sigma=SIGMA, lam=LAM, centers=solve.M), NystroemRidge(solve.M, 0)
+    ours, theirs = Falkon(sigma=SIGMA, penalty=LAM, n_centers=solve.M), NystroemRidge(solve.M, 0)
     times = statistics.median(seconds(lambda: ours.fit(X, Y), 3))
     arrays = X.numpy(), Y.numpy()
     theirs.fit(arrays[0][: 2 * solve.M], arrays[1][: 2 * solve.M])  # awake
@@ -107,7 +107,7 @@ def _against_nystroem(solve: Solve, tests: int, seed: int) -> dict[str, Figure]:
 def _against_svc(solve: Solve, tests: int, seed: int) -> dict[str, Figure]:
     X, label, mixture = _samples(solve, tests, seed)
     Y = one_vs_rest(label, 1)
-    ours, theirs = Falkon(sigma=SIGMA, lam=LAM, centers=solve.M), SVC(gamma=0.5 / SIGMA**2, C=10.0)
+    ours, theirs = Falkon(sigma=SIGMA, penalty=LAM, n_centers=solve.M), SVC(gamma=0.5 / SIGMA**2, C=10.0)
     times = statistics.median(seconds(lambda: ours.fit(X, Y), 3))
     arrays = X.numpy(), Y[:, 0].numpy()
     baseline = min(seconds(lambda: theirs.fit(*arrays), 1))

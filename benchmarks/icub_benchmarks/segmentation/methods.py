@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import importlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +12,7 @@ from omegaconf import OmegaConf
 from icub_core.config.assembly import Assembly
 from icub_core.config.compose import compose
 from icub_core.construct import build
-from icub_core.errors import ConfigError, unknown_name
+from icub_core.errors import ConfigError
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.segmenter import Segmenter
 
@@ -50,19 +47,19 @@ CURVES = {
         f"output_layers,segmenter.store_features=true,segmenter.epochs={n}" for n in (1, 4)
     ]
     + ["store_features"],
-    "Ours, share of pixels r": [f"falkon,icub_segmenters.masks.SAMPLING_FACTOR={r}" for r in (0.01, 0.1)] + [OURS],
+    "Ours, share of pixels r": [f"falkon,segmenter.procedure.pixel_share={r}" for r in (0.01, 0.1)] + [OURS],
 }
 ABLATION = {
     OURS: "falkon",
     "no pasted clutter": "falkon,segmenter.composites=0",
     "one pasted image a frame": "falkon,segmenter.composites=1",
-    "no look-alikes": "falkon,icub_segmenters.clutter.LOOK_ALIKES=0.0",
-    "distractors not described": "falkon,icub_segmenters.regions.STRANGER_BOXES=0",
-    "bank of negatives": "falkon,icub_segmenters.online_segmenter.BANK_PICTURES=100",
+    "no look-alikes": "falkon,segmenter.procedure.look_alikes=0",
+    "distractors not described": "falkon,segmenter.procedure.distractor_boxes=0",
+    "bank of negatives": "falkon,segmenter.procedure.bank_images=100",
     "features of the last layer alone": "falkon,features=256:512",
     "no colors and early maps": "falkon,features=0:640",
-    "no boxes around true ones": "falkon,icub_segmenters.regions.JITTERED=0",
-    "no box voting": "falkon,icub_segmenters.detection.VOTE_IOU=1.1",
+    "no boxes around true ones": "falkon,segmenter.procedure.jittered_boxes=0",
+    "no box voting": "falkon,segmenter.procedure.vote_iou=1",
     "second look (re-pooling)": "falkon,segmenter.repool=true",
     "on-line proposals": "falkon,segmenter.proposals=online",
     "own masks alone": "falkon,segmenter.masks=online",
@@ -77,8 +74,7 @@ ABLATION = {
 class Method:
     """A segmenter with overrides, such as ``falkon,segmenter.batches=2``.
 
-    Two kinds of overrides are the benchmark's own: a constant of a module of the segmenters, such as
-    ``icub_segmenters.regions.JITTERED=0``, and ``features=FIRST:LAST``, columns of the region features.
+    One kind of overrides is the benchmark's own: ``features=FIRST:LAST``, columns of the region features.
     """
 
     name: str
@@ -87,18 +83,7 @@ class Method:
     @property
     def overrides(self) -> list[str]:
         """Overrides of the configuration."""
-        return [o for o in self.text.split(",")[1:] if not o.startswith(("icub_segmenters.", "features="))]
-
-    @property
-    def constants(self) -> list[tuple[str, str, Any]]:
-        """(module, name, value) of constants that are changed."""
-        found = []
-        for override in self.text.split(",")[1:]:
-            if override.startswith("icub_segmenters."):
-                path, value = setting(override)
-                module, _, name = path.rpartition(".")
-                found.append((module, name, value))
-        return found
+        return [o for o in self.text.split(",")[1:] if not o.startswith("features=")]
 
     def config(self, seed: int, device: str, task: str, network: Path) -> Any:
         """Compose the configuration of one run; only what the segmenter is made of.
@@ -111,23 +96,8 @@ class Method:
             overrides.append(f"segmenter.epochs={EPOCHS[task]}")
         return compose([f"segmenter={plugin}", f"seed={seed}", f"device={device}", *overrides])
 
-    @contextlib.contextmanager
-    def segmenter(self, config: Any) -> Iterator[Segmenter]:
-        """Build the segmenter; its constants are changed within this context."""
-        before = []
-        for module, name, value in self.constants:
-            loaded = importlib.import_module(module)
-            if not hasattr(loaded, name):
-                raise ConfigError(unknown_name(f"constant of {module}", name, [n for n in vars(loaded) if n.isupper()]))
-            before.append((loaded, name, getattr(loaded, name)))
-            setattr(loaded, name, value)
-        try:
-            yield self._built(config)
-        finally:
-            for loaded, name, value in before:
-                setattr(loaded, name, value)
-
-    def _built(self, config: Any) -> Segmenter:
+    def segmenter(self, config: Any) -> Segmenter:
+        """Build the segmenter of a configuration that `config` composed."""
         plugins = Assembly(config)
         columns = [o.partition("=")[2] for o in self.text.split(",") if o.startswith("features=")]
         if not columns:

@@ -115,12 +115,12 @@ def run_all(tasks: list[Task], methods: list[Method], options: argparse.Namespac
 
 
 def _run(method: Method, config: Any, train: Dataset, test: Dataset, progress: Any, keep: Path | None) -> Run:
-    with method.segmenter(config) as segmenter:
-        trial = run_trial(segmenter, train, test, progress)
-        if keep is not None:
-            segmenter.save(keep)
-        frames = [test[i][0] for i in range(min(SHARE_FRAMES, len(test)))]
-        return Run(trial, heads_share(segmenter, frames))
+    segmenter = method.segmenter(config)
+    trial = run_trial(segmenter, train, test, progress)
+    if keep is not None:
+        segmenter.save(keep)
+    frames = [test[i][0] for i in range(min(SHARE_FRAMES, len(test)))]
+    return Run(trial, heads_share(segmenter, frames))
 
 
 def _run_name(task: Task, method: Method, number: int, config: Any, options: argparse.Namespace) -> str:

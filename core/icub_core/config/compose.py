@@ -25,6 +25,7 @@ from icub_core.construct import checked_parameters, missing_dependency, split_co
 from icub_core.errors import ConfigError, suggestion
 from icub_core.kinds import KINDS
 from icub_core.registry import load, one_line
+from icub_core.renames import new_name, renamed_parameters
 
 VERSION_BASE = "1.3"
 PRIMARY = "config"
@@ -50,9 +51,36 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | None = None, *, wi
         one_line_errors(),
         hydra.initialize_config_dir(version_base=VERSION_BASE, config_dir=str(config_folders()[0]), job_name="icub"),
     ):
-        config = hydra.compose(PRIMARY, overrides=rewritten, return_hydra_config=with_hydra)
+        config = _composed(rewritten, with_hydra)
         check(config)
         return config
+
+
+def _composed(overrides: list[str], with_hydra: bool) -> DictConfig:
+    """Compose; overrides by old names of parameters are replaced, with a warning."""
+    try:
+        return hydra.compose(PRIMARY, overrides=overrides, return_hydra_config=with_hydra)
+    except (HydraException, OmegaConfBaseException) as error:
+        current = with_new_names(overrides, error)
+        if current is None:
+            raise
+        return _composed(current, with_hydra)
+
+
+def with_new_names(overrides: Sequence[str], error: BaseException) -> list[str] | None:
+    """Return overrides in which the key that Hydra refused stands by its new name; None if it is no old name."""
+    cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
+    if not isinstance(cause, OmegaConfBaseException) or not cause.full_key:
+        return None
+    kind, _, key = str(cause.full_key).partition(".")
+    parent = cause.parent_node
+    if kind not in KINDS or not isinstance(parent, DictConfig) or "plugin" not in parent:
+        return None
+    cls = load(kind, str(parent["plugin"]))
+    if new_name(cls, key) is None:
+        return None
+    (new,) = renamed_parameters(cls, {key: None})
+    return [f"{kind}.{new}={o.partition('=')[2]}" if o.partition("=")[0] == f"{kind}.{key}" else o for o in overrides]
 
 
 def vocabulary(config_dir: Path | None = None) -> tuple[Mapping[str, tuple[str, ...]], tuple[str, ...]]:

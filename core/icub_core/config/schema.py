@@ -52,10 +52,10 @@ class Signature:
     dependencies: Mapping[str, Parameter]
 
 
-@functools.cache
-def signature(kind: str, name: str, cls: type) -> Signature:
+def _read_signature(kind: str, name: str, cls: type) -> Signature:
     """Read the constructor of a plugin; raises PluginError for a type that a configuration cannot hold."""
-    constructor = cast(Callable[..., None], cls.__init__)  # type: ignore[misc]  # an instance's __init__ is never wanted here
+    # what stands behind decorators, such as `renamed`, has the annotations' own scope
+    constructor = inspect.unwrap(cast(Callable[..., None], cls.__init__))  # type: ignore[misc]
     if constructor is object.__init__:
         return Signature({}, {})
     hints = _hints(constructor)
@@ -68,7 +68,8 @@ def signature(kind: str, name: str, cls: type) -> Signature:
                 "since its signature is its configuration"
             )
         parameter = Parameter(argument.name, hints.get(argument.name, Any), argument.default)
-        if argument.name in KINDS or _is_dependency(parameter.annotation):
+        unnamed = parameter.annotation is Any or not _is_data(parameter.annotation)  # a list of names is a setting
+        if (argument.name in KINDS and unnamed) or _is_dependency(parameter.annotation):
             dependencies[argument.name] = parameter
         elif _is_data(parameter.annotation):
             parameters[argument.name] = parameter
@@ -80,8 +81,11 @@ def signature(kind: str, name: str, cls: type) -> Signature:
     return Signature(parameters, dependencies)
 
 
-@functools.cache
-def node_type(kind: str, name: str, cls: type) -> type:
+signature: Callable[[str, str, type], Signature] = functools.cache(_read_signature)
+"""Read the constructor of a plugin once; see `_read_signature`."""
+
+
+def _make_node_type(kind: str, name: str, cls: type) -> type:
     """Return the dataclass whose fields are the plugin's parameters, for OmegaConf to check values against."""
     fields: list[tuple[str, Any, Any]] = [("plugin", str, field(default=name))]
     for parameter in signature(kind, name, cls).parameters.values():
@@ -95,6 +99,10 @@ def node_type(kind: str, name: str, cls: type) -> type:
         reason = str(cause).splitlines()[0]
         raise PluginError(f"the defaults of {kind} '{name}' do not fit their own types: {reason}") from cause
     return made
+
+
+node_type: Callable[[str, str, type], type] = functools.cache(_make_node_type)
+"""Return the dataclass of a plugin's parameters, one per plugin; see `_make_node_type`."""
 
 
 def typed_node(kind: str, name: str, cls: type, *, follow_run: bool = False) -> DictConfig:
@@ -260,8 +268,7 @@ def _for_omegaconf(annotation: Any) -> Any:
     return bare | None if optional else bare
 
 
-@functools.cache
-def _omegaconf_class(cls: Any) -> type:
+def _make_omegaconf_class(cls: Any) -> type:
     """Return a dataclass like `cls` whose annotations OmegaConf understands."""
     hints = typing.get_type_hints(cls, include_extras=True)
     fields: list[tuple[str, Any, Any]] = []
@@ -273,6 +280,9 @@ def _omegaconf_class(cls: Any) -> type:
     made = make_dataclass(cls.__name__, fields)
     made.__module__ = cls.__module__
     return made
+
+
+_omegaconf_class: Callable[[Any], type] = functools.cache(_make_omegaconf_class)
 
 
 def _field(value: Any) -> Any:

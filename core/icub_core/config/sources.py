@@ -22,6 +22,7 @@ from icub_core.config.schema import typed_node
 from icub_core.config.settings import typed_group_node
 from icub_core.kinds import KINDS
 from icub_core.registry import available, load
+from icub_core.renames import new_name, renamed_parameters
 
 PROVIDER = "icub"
 GROUPS = frozenset(KINDS) | {group for group, _ in TYPED_GROUPS}
@@ -112,6 +113,10 @@ def _on_typed_node(group: str, name: str, result: ConfigResult) -> Any:
         chosen = name if (group, name) in TYPED_GROUPS else None
     if not isinstance(chosen, str):
         return content
+    if group in KINDS:
+        values = content[group] if is_global else content
+        for old in [str(key) for key in values if new_name(load(group, chosen), str(key))]:
+            values.update(renamed_parameters(load(group, chosen), {old: values.pop(old)}))
     node = OmegaConf.create({group: _typed(group, chosen)})
     defaults = content.pop("defaults", None)
     merged = OmegaConf.merge(node, content if is_global else {group: content})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,20 +12,24 @@ from icub_core.data import Instance
 from icub_core.errors import DataError
 
 FloatArray = NDArray[np.float64]
+Float = TypeVar("Float", np.float32, np.float64)
 
 
-def box_iou(a: FloatArray, b: FloatArray) -> FloatArray:
+def box_iou(a: NDArray[Float], b: NDArray[Float]) -> NDArray[Float]:
     """Return the IoU (N, M) of boxes a (N, 4) and b (M, 4), x0 y0 x1 y1 in pixels with x1 and y1 exclusive.
 
     Exclusive corners make the width x1 - x0; this equals the "+1" rule of integer, inclusive boxes. A box without area
     overlaps nothing.
     """
-    top_left = np.maximum(a[:, None, :2], b[None, :, :2])
-    bottom_right = np.minimum(a[:, None, 2:], b[None, :, 2:])
-    intersection = np.prod(np.clip(bottom_right - top_left, 0.0, None), axis=2)
-    area_a = np.prod(np.clip(a[:, 2:] - a[:, :2], 0.0, None), axis=1)
-    area_b = np.prod(np.clip(b[:, 2:] - b[:, :2], 0.0, None), axis=1)
-    union = area_a[:, None] + area_b[None, :] - intersection
+    return paired_box_iou(a[:, None], b[None])
+
+
+def paired_box_iou(a: NDArray[Float], b: NDArray[Float]) -> NDArray[Float]:
+    """Return the IoU (...) of each box of a (..., 4) with its partner in b (..., 4), as `box_iou`."""
+    sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
+    intersection = np.prod(np.clip(sides, 0.0, None), axis=-1)
+    area_a, area_b = (np.prod(np.clip(boxes[..., 2:] - boxes[..., :2], 0.0, None), axis=-1) for boxes in (a, b))
+    union = area_a + area_b - intersection
     return np.divide(intersection, union, out=np.zeros_like(intersection), where=union > 0)
 
 
@@ -64,7 +69,7 @@ def check_image_lists(
     for index, (true, predicted) in enumerate(zip(truth, predictions, strict=True)):
         sizes = {i.mask.shape for i in (*true, *predicted)}
         if len(sizes) > 1:
-            raise DataError(f"image {index}: masks of different sizes {sorted(sizes)}; expected one size an image")
+            raise DataError(f"image {index}: masks of different sizes {sorted(sizes)}; expected one size per image")
         for instance in predicted:
             if instance.label not in known:
                 raise DataError(

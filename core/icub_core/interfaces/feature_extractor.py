@@ -16,7 +16,7 @@ class ImageFeatures:
     """What is computed once per image.
 
     Attributes:
-        maps: Whatever the extractor needs to pool from later.
+        maps: Feature maps that regions are pooled from, in the extractor's own form.
         image_size: Height, width of the original image, pixels.
         proposals: (P, 4) float32 class-agnostic boxes, x0 y0 x1 y1 in original pixels, best first.
         scores: (P,) float32 objectness.
@@ -44,12 +44,12 @@ class RpnCells:
 
 
 class FeatureExtractor(ABC):
-    """Frozen features of images, regions, pixels of regions, and (for the on-line RPN) cells.
+    """Frozen features of images, of regions and of the pixels of regions.
 
     Contract: the same image gives the same numbers; nothing is trained by being used; dimensions are constant.
 
-    What an extractor may offer beside this stands in `icub_core.interfaces.abilities`: `ProposesCells` for an on-line
-    region proposal network, `HasMaskBranch` for a pre-trained mask branch.
+    A pre-trained mask branch and cells for an on-line region proposal network are optional abilities: see
+    `icub_core.interfaces.abilities.HasMaskBranch` and `ProposesCells`.
     """
 
     @property

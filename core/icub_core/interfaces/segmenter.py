@@ -37,7 +37,7 @@ class Segmenter(ABC):
 
     @abstractmethod
     def observe(self, frame: RgbdFrame, instances: Sequence[Instance]) -> None:
-        """Take in one annotated frame: features are extracted now, nothing is trained."""
+        """Extract the features of one annotated frame and keep them; nothing is trained."""
 
     @abstractmethod
     def update(self) -> UpdateReport:

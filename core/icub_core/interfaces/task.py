@@ -119,18 +119,18 @@ class Task(EnvBase):
         return {}
 
     @abstractmethod
-    def state_dict(self) -> dict[str, torch.Tensor]:  # type: ignore[override]  # a module's has options that no task needs
+    def state_dict(self) -> dict[str, torch.Tensor]:
         """Return everything that decides the future."""
 
     @abstractmethod
-    def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:  # type: ignore[override]
+    def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:
         """Restore what `state_dict` returned, in a task made alike; CheckpointError, and no change, for another's."""
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         return self.advance(tensordict)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: object) -> TensorDictBase:
-        chosen = range(self.batch_size[0])
+        chosen: Sequence[int] = range(self.batch_size[0])
         if tensordict is not None and "_reset" in tensordict.keys():
             chosen = torch.nonzero(tensordict["_reset"].reshape(-1)).reshape(-1).tolist()
         for world in chosen:

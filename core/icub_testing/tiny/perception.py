@@ -1,4 +1,4 @@
-"""Seeing without learning anything hard: colors of sliding windows, ridge regression, nearest mean color."""
+"""Minimal perception plugins: colors of sliding windows, ridge regression, nearest mean color."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from icub_core.files import write_text_atomically
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures, RpnCells
 from icub_core.interfaces.online_head import OnlineHead
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
+from icub_core.renames import renamed
 
 GRID = 4
 """Side of the grid of colors that describes a region."""
@@ -70,7 +71,7 @@ class TinyFeatureExtractor(FeatureExtractor):
         return torch.cat([colors, place], dim=-1)
 
     def rpn_cells(self, features: ImageFeatures) -> RpnCells:
-        """Return every window as a location of its own, with one anchor of its size."""
+        """Return every window as a location with one anchor."""
         boxes = _windows(*features.image_size)
         sizes = (boxes[:, 2] - boxes[:, 0]).round(decimals=2).unique(return_inverse=True)[1]
         colors = self._crop(features.maps, boxes, GRID).flatten(1)
@@ -147,17 +148,18 @@ def _with_constant(X: torch.Tensor) -> torch.Tensor:
     return torch.cat([X, torch.ones((len(X), 1), dtype=X.dtype)], dim=1)
 
 
+@renamed(least_pixels="min_pixels")
 class TinySegmenter(Segmenter):
     """A pixel belongs to the class whose mean color is nearest, if that is near enough.
 
     Args:
         tolerance: Distance between colors, each 0..1.
-        least_pixels: Smaller finds are not reported.
+        min_pixels: Smaller masks are not reported.
     """
 
-    def __init__(self, tolerance: float = 0.12, least_pixels: int = 20) -> None:
+    def __init__(self, tolerance: float = 0.12, min_pixels: int = 20) -> None:
         self._tolerance = tolerance
-        self._least_pixels = least_pixels
+        self._min_pixels = min_pixels
         self._observed: dict[str, list[NDArray[np.float64]]] = {}
         self._known: dict[str, NDArray[np.float64]] = {}
 
@@ -182,7 +184,7 @@ class TinySegmenter(Segmenter):
         for label, color in self._known.items():
             distance = np.linalg.norm(frame.rgb / 255.0 - color, axis=-1)
             mask = distance < self._tolerance
-            if mask.sum() >= self._least_pixels:
+            if mask.sum() >= self._min_pixels:
                 found.append(Instance.from_mask(label, mask, score=float(1 - distance[mask].mean())))
         return tuple(sorted(found, key=lambda instance: -instance.score))
 

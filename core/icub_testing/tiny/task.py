@@ -164,7 +164,7 @@ class TinyTask(Task):
         """Name the task."""
         return {"task": "tiny", "variation": "nominal"}
 
-    def state_dict(self) -> dict[str, torch.Tensor]:  # type: ignore[override]
+    def state_dict(self) -> dict[str, torch.Tensor]:
         """Return positions, clocks and random numbers."""
         state = {name: getattr(self, f"_{name}").clone() for name in _STATE}
         for world, rng in enumerate(self._rngs):
@@ -173,7 +173,7 @@ class TinyTask(Task):
             state[f"rng.{world}"] = torch.tensor(parts, dtype=torch.int64)
         return state
 
-    def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:  # type: ignore[override]
+    def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:
         """Restore what `state_dict` returned."""
         for name in _STATE:
             if name not in state or state[name].shape != getattr(self, f"_{name}").shape:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 from rich.console import Console
 from rich.table import Table
@@ -76,7 +77,7 @@ class _Conversation:
                     self._console.print(str(error), soft_wrap=True, markup=False)
         self._save()
         self._session.run.record(
-            {"showing.objects": len(self._session.segmenter.classes), "showing.training_images": self._training_images}
+            {"showing.objects": len(self._session.segmenter.classes), "showing.lessons": self._training_images}
         )
 
     def _answer(self, command: str, *words: str) -> None:
@@ -85,6 +86,13 @@ class _Conversation:
         if words and command not in ("teach", "look"):
             raise ConfigError(f"{command} takes no names; got {' '.join(words)}")
         self._commands[command](*words)
+
+    @contextmanager
+    def _stage(self, name: str) -> Iterator[None]:
+        run = self._session.run
+        run.stage = name
+        with run.events.stage(name):
+            yield
 
     def _spec(self, name: str) -> ObjectSpec:
         if name not in self._specs:
@@ -97,7 +105,7 @@ class _Conversation:
         run = self._session.run
         spec = self._spec(names[0])
         self._training_images += 1
-        with run.stage("teach"):
+        with self._stage("teach"):
             rng = run.rng(f"teach {len(self._session.segmenter.classes)} {self._training_images}")
             report, sample, seconds = self._session.teach(spec, self._frames, rng)
         picture = run.run_dir / f"taught_{self._training_images:02d}.png"
@@ -120,7 +128,7 @@ class _Conversation:
             tabletop = Tabletop(frames=1, targets=(len(wanted), len(wanted)))
         else:
             other, tabletop = [s for s in self._specs.values() if s.name not in segmenter.classes], Tabletop(frames=1)
-        with run.stage("look"):
+        with self._stage("look"):
             looks = self._session.look(known, other, tabletop, run.rng(f"look {self._looks}"))
             (found,) = self._session.recognize(looks)
         frame, truth = looks[0]

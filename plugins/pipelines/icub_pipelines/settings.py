@@ -78,4 +78,4 @@ def target_name(chosen: str | None, preferred: str | None, known: Sequence[str])
     """Return the object to grasp: the user's choice, else the preferred one where it is known, else the first."""
     if chosen is not None:
         return chosen
-    return preferred if preferred in known else known[0]
+    return preferred if preferred is not None and preferred in known else known[0]

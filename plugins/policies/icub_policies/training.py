@@ -15,6 +15,7 @@ import torch
 from tensordict import TensorDictBase
 
 from icub_core.errors import CheckpointError
+from icub_core.interfaces.abilities import HasWeights
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
 from icub_core.interfaces.task import Start, Task
 from icub_core.rollouts import run_episodes
@@ -300,7 +301,7 @@ class Trainer:
             count.best_success, count.best_return = score, mean_return
             count.best_env_steps = count.env_steps
             self._best = {name: value.clone() for name, value in self._sac.weights().items()}
-            if self._exports is not None:
+            if self._exports is not None and isinstance(self._policy, HasWeights):
                 self._policy.save(self._exports)
 
     def _tell(self) -> None:

@@ -6,27 +6,20 @@ import math
 
 import torch
 
+from icub_core.evaluation.overlap import box_iou, paired_box_iou
+
 MAX_LOG_GROWTH = math.log(1000.0 / 16.0)
 """Refinement may not grow a side by more: the released detector has no such guard and its exponential can overflow."""
 
 
 def iou(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """Return intersection over union (n, m) of boxes a (n, 4) and b (m, 4); 0 for boxes without area."""
-    top_left = torch.maximum(a[:, None, :2], b[None, :, :2])
-    bottom_right = torch.minimum(a[:, None, 2:], b[None, :, 2:])
-    intersection = (bottom_right - top_left).clamp(min=0).prod(dim=2)
-    area_a = (a[:, 2:] - a[:, :2]).clamp(min=0).prod(dim=1)
-    area_b = (b[:, 2:] - b[:, :2]).clamp(min=0).prod(dim=1)
-    union = area_a[:, None] + area_b[None] - intersection
-    return torch.where(union > 0, intersection / union.clamp(min=1e-9), 0.0)
+    return torch.from_numpy(box_iou(a.numpy(), b.numpy()))
 
 
 def paired_iou(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """Return the IoU (n,) of each box of a (n, 4) with its partner in b (n, 4)."""
-    overlap = torch.minimum(a[:, 2:], b[:, 2:]) - torch.maximum(a[:, :2], b[:, :2])
-    intersection = overlap.clamp(min=0).prod(dim=1)
-    areas = (a[:, 2:] - a[:, :2]).clamp(min=0).prod(dim=1) + (b[:, 2:] - b[:, :2]).clamp(min=0).prod(dim=1)
-    return intersection / (areas - intersection).clamp(min=1e-9)
+    return torch.from_numpy(paired_box_iou(a.numpy(), b.numpy()))
 
 
 def encode(boxes: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
@@ -54,13 +47,13 @@ def clip(boxes: torch.Tensor, image_size: tuple[int, int]) -> torch.Tensor:
 
 
 def jittered(
-    box: torch.Tensor, count: int, lowest_iou: float, image_size: tuple[int, int], generator: torch.Generator
+    box: torch.Tensor, count: int, min_iou: float, image_size: tuple[int, int], generator: torch.Generator
 ) -> torch.Tensor:
-    """Draw up to `count` boxes (count, 4) near box (4,) whose IoU with it is at least `lowest_iou`."""
+    """Draw up to `count` boxes (count, 4) near box (4,) whose IoU with it is at least `min_iou`."""
     tries = 4 * count
     noise = torch.randn(tries, 4, generator=generator) * torch.tensor([0.1, 0.1, 0.15, 0.15])
     drawn = decode(box.expand(tries, 4), noise, image_size)
-    good = iou(drawn, box[None]).squeeze(1) >= lowest_iou
+    good = iou(drawn, box[None]).squeeze(1) >= min_iou
     return drawn[good][:count]
 
 

@@ -1,8 +1,8 @@
-"""Pasting taught objects into images of clutter, so that a showing against one wall teaches more than that wall.
+"""Copy-paste augmentation: taught objects are pasted into images of clutter.
 
-Held in front of one background under one lamp, an object is learned together with both, and nothing shows what it is
-not. Here its pixels are put, turned, resized and re-lit, into images of other things: more backgrounds for its
-positives, and the clutter's regions become negatives.
+An object that is shown in front of one background under one lamp would be learned together with both. Here its pixels
+are pasted, rotated, resized and re-lit, into images of other things: positives get more backgrounds, and regions of the
+clutter become negatives.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from icub_core.data import tight_boxes
 from icub_core.errors import DataError
+from icub_segmenters.procedure import STANDARD
 
 DEFAULT_FOLDER = Path(__file__).with_name("assets") / "clutter"
-LOOK_ALIKES = 0.6
-"""Share of the distractors that take on the taught object's colors: color alone must not decide."""
 REMEMBERED = 12
 """Cut-outs kept of each taught object, to be pasted beside others."""
 SIDE_SHARES, DISTRACTORS_SIDE_SHARES = (0.12, 0.75), (0.1, 0.4)
@@ -26,12 +26,12 @@ SIDE_SHARES, DISTRACTORS_SIDE_SHARES = (0.12, 0.75), (0.1, 0.4)
 MIN_SIDE = 14
 """A cut-out is not shrunk below this many pixels."""
 VISIBLE_SHARE = 0.5
-"""An instance of which less shows than this is no example any more."""
+"""A composite has no instance of which less than this share is visible."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cutout:
-    """An object's pixels without its surroundings: rgb (h, w, 3) uint8, mask (h, w) bool; a distractor's label is ""."""
+    """An object's pixels: rgb (h, w, 3) uint8, mask (h, w) bool; the label of a distractor is ""."""
 
     label: str
     rgb: NDArray[np.uint8]
@@ -40,19 +40,19 @@ class Cutout:
     @classmethod
     def of(cls, label: str, rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> Cutout:
         """Cut the tight box of a not empty `mask` (H, W) out of `rgb` (H, W, 3)."""
-        rows, columns = np.nonzero(mask)
-        box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
+        left, top, right, bottom = tight_boxes(mask[None])[0].astype(int)
+        box = slice(top, bottom), slice(left, right)
         return cls(label, rgb[box].copy(), mask[box].copy())
 
 
 @dataclass(frozen=True, eq=False)
 class Composite:
-    """A made image.
+    """A composite image.
 
     Attributes:
         rgb: (H, W, 3) uint8.
-        instances: What of the taught objects is visible, (label, (H, W) bool) each.
-        distractors: What of other objects is visible, (H, W) bool each: the negatives that matter.
+        instances: Visible parts of the taught objects, (label, (H, W) bool) each.
+        distractors: Visible parts of other objects, (H, W) bool each: hard negatives.
     """
 
     rgb: NDArray[np.uint8]
@@ -69,13 +69,19 @@ class ClutterPicture:
 
 
 class Compositor:
-    """Makes images of a taught object, and at times of others taught before, among clutter."""
+    """Makes images of a taught object among clutter, at times beside objects that were taught before."""
 
-    def __init__(self, pictures: list[ClutterPicture]) -> None:
-        """Take images in which nothing that will be taught occurs; their objects are pasted, too."""
+    def __init__(self, pictures: list[ClutterPicture], look_alikes: float = STANDARD.look_alikes) -> None:
+        """Take images that show no taught object; their objects are pasted as distractors.
+
+        Args:
+            pictures: Backgrounds, with the objects on them.
+            look_alikes: Share of the distractors that take on the taught object's colors, so that color alone does not
+                decide.
+        """
         if not pictures:
             raise DataError("there are no clutter images; expected at least one")
-        self.pictures = pictures
+        self.pictures, self.look_alikes = pictures, look_alikes
         self.distractors = [
             Cutout.of("", picture.rgb, picture.objects == number)
             for picture in pictures
@@ -85,10 +91,10 @@ class Compositor:
         self.remembered: dict[str, list[Cutout]] = {}
 
     @classmethod
-    def from_folder(cls, folder: Path | None = None) -> Compositor:
+    def from_folder(cls, folder: Path | None = None, look_alikes: float = STANDARD.look_alikes) -> Compositor:
         """Read the JPEG images of a folder; None takes those that come with the package.
 
-        A PNG of the same name holds the objects in a image: 0 for none, else the object's number.
+        A PNG of the same name holds the objects in an image: 0 for none, else the object's number.
         """
         folder = DEFAULT_FOLDER if folder is None else Path(folder)
         files = sorted(p for p in folder.glob("*") if p.suffix.lower() in (".jpg", ".jpeg"))
@@ -103,7 +109,7 @@ class Compositor:
                 if objects.shape != rgb.shape[:2]:
                     raise DataError(f"{numbers} is {objects.shape}; expected the image's {rgb.shape[:2]}")
             pictures.append(ClutterPicture(rgb, objects))
-        return cls(pictures)
+        return cls(pictures, look_alikes)
 
     def remember(self, cutout: Cutout, rng: np.random.Generator) -> None:
         """Keep a cut-out for later images; of each label a few are kept at random."""
@@ -114,7 +120,7 @@ class Compositor:
             known[int(rng.integers(REMEMBERED))] = cutout
 
     def compose(self, cutout: Cutout, size: tuple[int, int], rng: np.random.Generator) -> Composite:
-        """Paste `cutout`, up to two other remembered objects and some distractors into a image of (height, width)."""
+        """Paste `cutout`, up to two other remembered objects and some distractors into an image of (height, width)."""
         height, width = size
         picture = self.pictures[int(rng.integers(len(self.pictures)))]
         background = cv2.resize(picture.rgb, (width, height)).astype(np.uint8)
@@ -148,19 +154,19 @@ class Compositor:
         if self.distractors:
             for i in rng.integers(0, len(self.distractors), int(rng.integers(1, 5))):
                 distractor = self.distractors[i]
-                drawn.append(in_colors_of(cutout, distractor, rng) if rng.random() < LOOK_ALIKES else distractor)
+                drawn.append(in_colors_of(cutout, distractor, rng) if rng.random() < self.look_alikes else distractor)
         return [drawn[i] for i in rng.permutation(len(drawn))]
 
 
 def _read(file: Path, flags: int) -> NDArray[np.uint8]:
     picture = cv2.imread(str(file), flags)
     if picture is None:
-        raise DataError(f"{file} cannot be read as a image")
+        raise DataError(f"{file} cannot be read as an image")
     return picture.astype(np.uint8)
 
 
 def relit(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Change brightness, contrast and tint of a image at random."""
+    """Change brightness, contrast and tint of an image at random."""
     gain = rng.uniform(0.6, 1.35) * rng.normal(1.0, 0.05, 3)
     shift = rng.uniform(-12, 12)
     return np.clip(rgb.astype(np.float32) * gain + shift, 0, 255).astype(np.uint8)
@@ -181,7 +187,7 @@ def in_colors_of(model: Cutout, distractor: Cutout, rng: np.random.Generator) ->
 
 
 def shaded(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Darken a image towards one side, as a lamp on the other side would."""
+    """Darken an image towards one side, as a lamp on the other side would."""
     height, width = rgb.shape[:2]
     angle, strength = rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.5)
     x, y = np.linspace(-1, 1, width), np.linspace(-1, 1, height)[:, None]
@@ -190,7 +196,7 @@ def shaded(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8
 
 
 def transformed(cutout: Cutout, size: tuple[int, int], rng: np.random.Generator) -> Cutout:
-    """Turn, resize, mirror no side, and re-light a cut-out for a image of (height, width)."""
+    """Rotate, resize and re-light a cut-out for an image of (height, width)."""
     h, w = cutout.mask.shape
     longest = max(rng.uniform(*(SIDE_SHARES if cutout.label else DISTRACTORS_SIDE_SHARES)) * size[0], MIN_SIDE)
     scale = longest / max(h, w)

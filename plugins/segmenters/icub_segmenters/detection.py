@@ -10,11 +10,13 @@ from torchvision.ops import batched_nms
 from icub_core.errors import CheckpointError, NotFittedError
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.online_head import OnlineHead
+from icub_core.weights import part, with_prefix
 from icub_segmenters.boxes import decode, encode, iou, paired_iou
 from icub_segmenters.heads.rls import Rls
 from icub_segmenters.incremental import Addition, add_class, add_together
 from icub_segmenters.minibootstrap import MakeHead, Minibootstrap, Rows
 from icub_segmenters.normalization import Normalization
+from icub_segmenters.procedure import STANDARD
 from icub_segmenters.region_store import RegionStore
 from icub_segmenters.sampling import class_negatives, later_negatives, sample_per_group, shared_negatives
 
@@ -24,9 +26,7 @@ MAX_OF_A_CLASS = 20
 NEVER = -2.0
 """Score of a class that cannot be recognized: below what any trained head gives to background."""
 BOX_PENALTY = 10.0
-"""lambda of the box regressors on features of norm 20."""
-VOTE_IOU = 0.6
-"""Candidates of the same class that overlap a detection by more have a say in where it is."""
+"""Of the box regressors on features of norm 20."""
 VOTE_SHARPNESS = 4.0
 """A vote weighs exp of this times its score."""
 MIN_POSITIVES = 200
@@ -62,26 +62,26 @@ class Detections:
 
 
 class BoxRegressors:
-    """One RLS box regressor a class; a class without samples keeps its boxes."""
+    """One RLS box regressor per class; boxes of a class without samples stay as they are."""
 
     def __init__(self) -> None:
         self.heads: dict[int, Rls] = {}
 
-    def fit(self, X: Rows, store: RegionStore, lowest_iou: float, first: int = 0) -> None:
-        """Train on the positives of `store` whose IoU with their true box is at least `lowest_iou`; X (n, d).
+    def fit(self, X: Rows, store: RegionStore, min_iou: float, first: int = 0) -> None:
+        """Train on the positives of `store` whose IoU with their true box is at least `min_iou`; X (n, d).
 
         Classes below `first` stay as they are.
         """
         positives = torch.nonzero(store.label >= first).flatten()
         boxes, targets, label = store.boxes[positives], store.targets[positives], store.label[positives]
         size = (boxes[:, 2:] - boxes[:, :2]).prod(dim=1)
-        good = (paired_iou(boxes, targets) >= lowest_iou) & (size > 0)
+        good = (paired_iou(boxes, targets) >= min_iou) & (size > 0)
         heads = {c: head for c, head in self.heads.items() if c < first}
         for c in label[good].unique().tolist():
             of_class = torch.nonzero(good & (label == c)).flatten()
             if len(of_class) > MAX_REGRESSED:
                 of_class = of_class[torch.linspace(0, len(of_class) - 1, MAX_REGRESSED).long()]
-            head = Rls(lam=BOX_PENALTY)
+            head = Rls(penalty=BOX_PENALTY)
             head.fit(X[positives[of_class]], encode(boxes[of_class], targets[of_class]))
             heads[c] = head
         self.heads = heads
@@ -104,23 +104,23 @@ class OnlineDetector:
     def __init__(
         self,
         make_head: MakeHead,
-        procedure: Minibootstrap,
+        minibootstrap: Minibootstrap,
         *,
         shared: bool = True,
         repool: bool = True,
-        vote: bool = True,
+        vote_iou: float = STANDARD.vote_iou,
     ) -> None:
         """Configure; nothing is trained.
 
         Args:
             make_head: Gives an untrained classifier.
-            procedure: Numbers of the Minibootstrap.
+            minibootstrap: Numbers of the Minibootstrap.
             shared: Train all classes on one pool instead of each on its own samples.
             repool: Look a second time at the refined boxes: scores are averaged and boxes refined again.
-            vote: Let suppressed candidates vote on the box of what suppressed them.
+            vote_iou: Candidates of the same class that overlap a detection by more vote on its box; 1 for none.
         """
-        self.make_head, self.procedure = make_head, procedure
-        self.shared, self.repool, self.vote = shared, repool, vote
+        self.make_head, self.minibootstrap = make_head, minibootstrap
+        self.shared, self.repool, self.vote_iou = shared, repool, vote_iou
         self.normalization: Normalization | None = None
         self.heads: dict[int, OnlineHead] = {}  # by class; shared: the only one under 0
         self.additions: list[Addition] = []  # classes that came after the last whole training
@@ -142,18 +142,18 @@ class OnlineDetector:
         """
         normalization = Normalization.of_classes(store.features, store.label, generator)
         X = normalization.rows_of(store.features)
-        budget = self.procedure.budget
+        budget = self.minibootstrap.budget
         heads: dict[int, OnlineHead] = {}
         if self.shared:
             label = self._limited(store, 0, classes, generator)
-            heads[0] = self.procedure.train_shared(
+            heads[0] = self.minibootstrap.train_shared(
                 self.make_head, X, label, shared_negatives(store, budget, generator), classes
             )
         else:
             for c in range(classes):
                 positives = torch.nonzero(store.label == c).flatten()
                 negatives = class_negatives(store, c, budget, generator)
-                head = self.procedure.train_class(self.make_head, X, positives, negatives)
+                head = self.minibootstrap.train_class(self.make_head, X, positives, negatives)
                 if head is not None:
                     heads[c] = head
         self.coarse.fit(X, store, 0.0)
@@ -174,18 +174,18 @@ class OnlineDetector:
         """
         if self.normalization is None:
             raise NotFittedError("the detector has no classes to add to: train it first")
-        known, budget = self.number_of_classes, self.procedure.budget
+        known, budget = self.number_of_classes, self.minibootstrap.budget
         X = self.normalization.rows_of(store.features)
         additions: list[Addition] = []
         if self.shared:
             label = self._limited(store, known, classes, generator)
             negatives = later_negatives(store, known, budget, generator)
-            arguments = self.procedure, self.make_head, X, label, negatives
+            arguments = self.minibootstrap, self.make_head, X, label, negatives
             additions.append(add_together(known, classes - known, *arguments))
         else:
             for c in range(known, classes):
                 negatives = class_negatives(store, c, budget, generator)
-                addition = add_class(c, self.procedure, self.make_head, X, store.label, negatives)
+                addition = add_class(c, self.minibootstrap, self.make_head, X, store.label, negatives)
                 additions += [] if addition is None else [addition]
         self.coarse.fit(X, store, 0.0, known)
         if self.repool:
@@ -199,7 +199,7 @@ class OnlineDetector:
         So many classes or long showings do not outgrow the negatives.
         """
         rows = torch.nonzero(store.label >= first).flatten()
-        most = max(MIN_POSITIVES, self.procedure.budget // (classes - first))
+        most = max(MIN_POSITIVES, self.minibootstrap.budget // (classes - first))
         rows = sample_per_group(rows, store.label[rows], most, generator)
         label = torch.full_like(store.label, -1)
         label[rows] = store.label[rows]
@@ -217,12 +217,14 @@ class OnlineDetector:
 
     def fresh(self) -> OnlineDetector:
         """Return an untrained detector of the same configuration."""
-        return type(self)(self.make_head, self.procedure, shared=self.shared, repool=self.repool, vote=self.vote)
+        return type(self)(
+            self.make_head, self.minibootstrap, shared=self.shared, repool=self.repool, vote_iou=self.vote_iou
+        )
 
-    def detect(self, extractor: FeatureExtractor, image: ImageFeatures, lowest_score: float) -> Detections:
+    def detect(self, extractor: FeatureExtractor, image: ImageFeatures, min_score: float) -> Detections:
         """Find the taught objects among an image's proposals.
 
-        Per class: refine boxes, drop those under `lowest_score`, suppress overlaps above 0.3, of which at most 20
+        Per class: refine boxes, drop those under `min_score`, suppress overlaps above 0.3, of which at most 20
         remain, and let what was suppressed vote on the box.
         """
         if self.normalization is None:
@@ -230,10 +232,9 @@ class OnlineDetector:
         size, boxes = image.image_size, image.proposals.cpu()
         X = self.normalization(extractor.region_features(image, boxes).float().cpu())
         scores = self.scores(X)
-        rows, labels = torch.nonzero(scores > lowest_score, as_tuple=True)
+        rows, labels = torch.nonzero(scores > min_score, as_tuple=True)
         found = Detections(self.coarse.refine(X[rows], boxes[rows], labels, size), labels, scores[rows, labels])
-        kept = suppressed(found)
-        found = voted(kept, found) if self.vote else kept
+        found = voted(suppressed(found), found, self.vote_iou)
         if not self.repool or len(found) == 0:
             return found
         X = self.normalization(extractor.region_features(image, found.boxes).float().cpu())
@@ -250,16 +251,16 @@ class OnlineDetector:
             "normalization.mean_norm": torch.tensor(self.normalization.mean_norm, dtype=torch.float64),
             "known": self._known,
         }
-        parts = (("head", self.heads), ("coarse", self.coarse.heads), ("fine", self.fine.heads))
-        for name, heads in parts:
+        groups = (("head", self.heads), ("coarse", self.coarse.heads), ("fine", self.fine.heads))
+        for name, heads in groups:
             for c, head in heads.items():
-                state |= {f"{name}.{c}.{key}": value for key, value in head.state_dict().items()}
+                state |= with_prefix(f"{name}.{c}", head.state_dict())
         for a in self.additions:
-            state |= {f"added.{a.number}.{key}": value for key, value in a.head.state_dict().items()}
+            state |= with_prefix(f"added.{a.number}", a.head.state_dict())
         return state
 
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
-        """Take over what `state_dict` gave; CheckpointError, and nothing changes, when it is not that."""
+        """Load what `state_dict` returned; CheckpointError, and nothing changes, for anything else."""
         try:
             mean_norm, known = float(state["normalization.mean_norm"]), state["known"].clone()
             normalization = Normalization(state["normalization.mean"].clone(), mean_norm)
@@ -268,12 +269,11 @@ class OnlineDetector:
         loaded: dict[str, dict[int, OnlineHead]] = {"head": {}, "coarse": {}, "fine": {}, "added": {}}
         for key in sorted({tuple(name.split(".")[:2]) for name in state if name.split(".")[0] in loaded}):
             name, number = key
-            head = self.make_head() if name in ("head", "added") else Rls(lam=BOX_PENALTY)
-            prefix = f"{name}.{number}."
-            head.load_state_dict({k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)})
+            head = self.make_head() if name in ("head", "added") else Rls(penalty=BOX_PENALTY)
+            head.load_state_dict(part(state, f"{name}.{number}"))
             loaded[name][int(number)] = head
         if self.shared and set(loaded["head"]) != {0}:
-            raise CheckpointError("the detector's state has one classifier a class; expected one for all (mode=shared)")
+            raise CheckpointError("the detector's state has a classifier per class; expected one for all (mode=shared)")
         self.additions = [Addition(c, head) for c, head in sorted(loaded["added"].items())]
         self.normalization, self.heads = normalization, loaded["head"]
         self._known = known
@@ -289,15 +289,15 @@ def suppressed(found: Detections) -> Detections:
     return found.take(kept[better < MAX_OF_A_CLASS])
 
 
-def voted(kept: Detections, candidates: Detections) -> Detections:
-    """Average each box with the candidates of its class around it, itself among them; scores stay.
+def voted(kept: Detections, candidates: Detections, vote_iou: float = STANDARD.vote_iou) -> Detections:
+    """Average each box with the candidates of its class whose IoU with it is above `vote_iou`; scores stay.
 
     Source: box voting, Gidaris and Komodakis, Object detection via a multi-region and semantic segmentation-aware CNN
     model, 2015, section 5; the weights are exponential here, since scores may be negative.
     """
     if len(kept) == 0:
         return kept
-    has_vote = (iou(kept.boxes, candidates.boxes) > VOTE_IOU) & (kept.labels[:, None] == candidates.labels)
+    has_vote = (iou(kept.boxes, candidates.boxes) > vote_iou) & (kept.labels[:, None] == candidates.labels)
     lead = candidates.scores - kept.scores[:, None]  # at most 0 for voters: the best of them was kept
     weight = torch.where(has_vote, (VOTE_SHARPNESS * lead).clamp(max=0).exp(), 0.0)
     total = weight.sum(dim=1, keepdim=True)

@@ -1,4 +1,4 @@
-"""On-line region proposals by Algorithm 2: one Minibootstrap an anchor type.
+"""On-line region proposals by Algorithm 2: one Minibootstrap per anchor type.
 
 Source: thesis 11.3.2 and Algorithm 2. Decisions where thesis and released code differ: regressors learn from anchors
 of IoU above 0.6, as the thesis says; negatives are drawn without replacement, so that appendix D holds.
@@ -24,10 +24,10 @@ MAX_AN_IMAGE = 200
 
 @dataclass(frozen=True, eq=False)
 class AnchorLabels:
-    """What one image teaches: rows of (cell, anchor of the cell).
+    """The anchors of one image that classifiers and regressors learn from.
 
     Attributes:
-        positive, negative: (n,) flat numbers, cell x anchors a cell + anchor.
+        positive, negative: (n,) flat numbers, cell x anchors per cell + anchor.
         regressed: (n,) flat numbers of anchors that a regressor learns from.
         truth: (n, 4) their true boxes.
     """
@@ -41,7 +41,7 @@ class AnchorLabels:
 def label_anchors(anchors: torch.Tensor, truth: torch.Tensor, size: tuple[int, int]) -> AnchorLabels:
     """Compare the anchors of an image with its true boxes.
 
-    An anchor that leaves the image teaches nothing. Positive: IoU above 0.7 with a true box, and for a true box
+    Anchors that leave the image are not used. Positive: IoU above 0.7 with a true box, and for a true box
     without such an anchor those of highest IoU. Negative: IoU below 0.3 with all true boxes.
 
     Args:
@@ -62,7 +62,7 @@ def label_anchors(anchors: torch.Tensor, truth: torch.Tensor, size: tuple[int, i
 
 
 def best_of_missed(highest: torch.Tensor, best: torch.Tensor, count: int) -> torch.Tensor:
-    """Say which anchors (n,) are the best of a true box that no anchor overlaps by more than 0.7.
+    """Return which anchors (n,) are the best of a true box that no anchor overlaps by more than 0.7.
 
     Args:
         highest: (n,) largest IoU of each anchor.
@@ -79,7 +79,7 @@ def best_of_missed(highest: torch.Tensor, best: torch.Tensor, count: int) -> tor
 
 
 class FaithfulRpn(OnlineRpn):
-    """One classifier an anchor type, each with its own samples, centers and Minibootstrap."""
+    """One classifier per anchor type, each with its own samples, centers and Minibootstrap."""
 
     TABLES = ("positives", "negatives", "regressed")
     box_penalty = 0.01  # the thesis's value for normalized features
@@ -89,11 +89,11 @@ class FaithfulRpn(OnlineRpn):
         labels = label_anchors(cells.anchors.reshape(-1, 4), truth, size)
         self.tables["positives"].append(self._rows(cells, labels.positive))
         self._keep_regressed(cells, labels.regressed, labels.truth)
-        most = quota_per_image(self.procedure.budget, self.images + 1)
+        most = quota_per_image(self.minibootstrap.budget, self.images + 1)
         drawn = sample_per_group(labels.negative, types[labels.negative], min(most, MAX_AN_IMAGE), generator)
         self.tables["negatives"].append(self._rows(cells, drawn))
         kept = sum(len(rows) for rows in self.tables["negatives"])
-        if kept > 1.5 * self.procedure.budget * max(int(types.max()) + 1, 1):
+        if kept > 1.5 * self.minibootstrap.budget * max(int(types.max()) + 1, 1):
             self._thin_out(self.images + 1, generator)
 
     def _train_classifiers(self, generator: torch.Generator) -> tuple[Normalization, dict[int, OnlineHead]]:
@@ -107,8 +107,8 @@ class FaithfulRpn(OnlineRpn):
         for kind in positives.types.unique().tolist():
             own = torch.nonzero(positives.types == kind).flatten()
             others = torch.nonzero(negatives.types == kind).flatten()
-            others = sample(others, self.procedure.budget, generator) + len(positives)
-            head = self.procedure.train_class(self.make_head, X, own, others)
+            others = sample(others, self.minibootstrap.budget, generator) + len(positives)
+            head = self.minibootstrap.train_class(self.make_head, X, own, others)
             if head is not None:
                 heads[kind] = head
         return normalization, heads
@@ -124,7 +124,7 @@ class FaithfulRpn(OnlineRpn):
     def _thin_out(self, images: int, generator: torch.Generator) -> None:
         """Bring every image down to its share of negatives for every anchor type (Algorithm 2)."""
         rows = Rows.joined(self.tables["negatives"])
-        quota = quota_per_image(self.procedure.budget, images)
+        quota = quota_per_image(self.minibootstrap.budget, images)
         group = rows.types * (int(rows.image.max()) + 1 if len(rows) else 1) + rows.image
         kept = sample_per_group(torch.arange(len(rows)), group, quota, generator).sort().values
         self.tables["negatives"] = [rows.take(kept)]

@@ -1,4 +1,4 @@
-"""Annotated frames that a segmenter keeps because it visits them again and again while it trains."""
+"""Annotated frames, kept by segmenters that train on them in several epochs."""
 
 from __future__ import annotations
 

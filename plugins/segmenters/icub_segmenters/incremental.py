@@ -1,4 +1,4 @@
-"""Classes that are taught after others: only their own classifiers are trained, the others stay as they are.
+"""Incremental classes: only the classifiers of new classes are trained, the others stay as they are.
 
 The thesis trains all classes again when one comes (11.8.1), because an old class may take the new object for its own.
 Here old classes yield to the new one in regions that it claims with more right, and move nowhere else.
@@ -30,7 +30,7 @@ class Addition:
     head: OnlineHead
 
     def apply(self, scores: torch.Tensor, X: torch.Tensor) -> None:
-        """Write the scores of X (n, d) to the columns of `scores` (n, classes); older classes yield, in place.
+        """Write the scores of X (n, d) to the columns of `scores` (n, classes) and lower those of older classes, in place.
 
         Where a new class is positive and above an older one, that one's score falls to minus the new one's.
         """
@@ -43,7 +43,7 @@ class Addition:
 
 def add_class(
     number: int,
-    procedure: Minibootstrap,
+    minibootstrap: Minibootstrap,
     make_head: MakeHead,
     X: Rows,
     label: torch.Tensor,
@@ -53,7 +53,7 @@ def add_class(
 
     Args:
         number: The new class; old ones have lower numbers.
-        procedure: Numbers of the Minibootstrap.
+        minibootstrap: Numbers of the Minibootstrap.
         make_head: Gives an untrained head.
         X: (n, d) features of all regions, in the scale of the old classes.
         label: (n,) classes of the regions, -1 for none.
@@ -63,14 +63,14 @@ def add_class(
         The addition, or None without positives: such a class is never found.
     """
     positives = torch.nonzero(label == number).flatten()
-    head = procedure.train_class(make_head, X, positives, negatives)
+    head = minibootstrap.train_class(make_head, X, positives, negatives)
     return None if head is None else Addition(number, head)
 
 
 def add_together(
     number: int,
     count: int,
-    procedure: Minibootstrap,
+    minibootstrap: Minibootstrap,
     make_head: MakeHead,
     X: Rows,
     label: torch.Tensor,
@@ -82,4 +82,4 @@ def add_together(
     time. Other arguments as for `add_class`; `negatives` are away from all the new classes.
     """
     fresh = torch.where(label >= number, label - number, -1)
-    return Addition(number, procedure.train_shared(make_head, X, fresh, negatives, count))
+    return Addition(number, minibootstrap.train_shared(make_head, X, fresh, negatives, count))

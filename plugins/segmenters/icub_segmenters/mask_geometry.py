@@ -1,4 +1,4 @@
-"""Between masks of images and the small square grids in which regions are classified pixel by pixel."""
+"""Conversion between masks of images and the square grids in which the pixels of a region are classified."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 
 import torch
 from torch.nn import functional
+
+from icub_core.data import tight_boxes
 
 
 def crop_masks(masks: torch.Tensor, boxes: torch.Tensor, side: int) -> torch.Tensor:
@@ -25,7 +27,7 @@ def paste_masks(values: torch.Tensor, boxes: torch.Tensor, image_size: tuple[int
     """Draw grids of values (n, s, s) into their boxes (n, 4): (n, H, W) bool, true above 0.5.
 
     Every pixel whose center lies in the box is interpolated bilinearly between cell centers. Boxes are not rounded, so
-    masks do not wander by half a pixel as with the integer boxes of the released code.
+    masks are not shifted by half a pixel as with the integer boxes of the released code.
     """
     height, width = image_size
     pasted = torch.zeros(len(values), height, width, dtype=torch.bool)
@@ -45,8 +47,5 @@ def paste_masks(values: torch.Tensor, boxes: torch.Tensor, image_size: tuple[int
 
 def boxes_of_masks(masks: torch.Tensor, otherwise: torch.Tensor) -> torch.Tensor:
     """Return the tight boxes (n, 4) of masks (n, H, W) bool; an empty mask takes its row of `otherwise` (n, 4)."""
-    rows, columns = masks.any(dim=2).int(), masks.any(dim=1).int()
-    first = torch.stack([columns.argmax(dim=1), rows.argmax(dim=1)], dim=1)
-    past_last = [side.shape[1] - side.flip(1).argmax(dim=1) for side in (columns, rows)]
-    tight = torch.cat([first, torch.stack(past_last, dim=1)], dim=1).to(otherwise)
-    return torch.where(columns.any(dim=1, keepdim=True), tight, otherwise)
+    tight = torch.from_numpy(tight_boxes(masks.numpy())).to(otherwise)
+    return torch.where(masks.flatten(1).any(dim=1, keepdim=True), tight, otherwise)

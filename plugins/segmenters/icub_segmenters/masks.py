@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
-
 import torch
 from torch.nn import functional
 
 from icub_core.errors import CheckpointError, DataError, NotFittedError
+from icub_core.interfaces.abilities import SharesKernel
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
-from icub_core.interfaces.online_head import OnlineHead
-from icub_segmenters.heads.falkon import Falkon
-from icub_segmenters.heads.linear import Linear
+from icub_core.interfaces.online_head import OnlineHead, probabilities
+from icub_core.weights import part, with_prefix
 from icub_segmenters.mask_geometry import crop_masks
 from icub_segmenters.minibootstrap import MakeHead
 from icub_segmenters.normalization import Normalization
+from icub_segmenters.procedure import STANDARD
 from icub_segmenters.sampling import sample
 
-SAMPLING_FACTOR = 0.3
-"""Share of a region's pixels that are kept, of the object's and of the others alike (the thesis's r)."""
 MAX_PIXELS = 8_000
 """Pixels a class is trained on at most, half of them the object's; more add time but no accuracy."""
 GRID = 14
@@ -28,24 +25,16 @@ MAX_CENTERS = 200
 """Pixels of 64 features need fewer centers than regions: 1000 were measured to be no better, and much slower."""
 
 
-@runtime_checkable
-class PretrainedMasks(Protocol):
-    """What an extractor with a class-agnostic mask branch offers beside its features."""
-
-    def mask_probabilities(self, features: ImageFeatures, boxes: torch.Tensor) -> torch.Tensor:
-        """Return (n, s, s) probabilities that a pixel of a box (n, 4) belongs to the box's object."""
-
-
 class OnlineMasks:
-    """One per-pixel classifier a class, on the pixels of true boxes.
+    """One per-pixel classifier per class, on the pixels of true boxes.
 
     Positives of a class are its instances' pixels, negatives the other pixels of the same boxes; regions of other
     classes play no part, so a new class leaves the others' classifiers as they are (thesis 11.8.1).
     """
 
-    def __init__(self, make_head: MakeHead) -> None:
-        """Configure; `make_head` gives an untrained classifier."""
-        self.make_head = make_head
+    def __init__(self, make_head: MakeHead, pixel_share: float = STANDARD.pixel_share) -> None:
+        """Configure; `make_head` gives an untrained classifier; see `Procedure` for `pixel_share`."""
+        self.make_head, self.pixel_share = make_head, pixel_share
         self.samples: dict[int, list[list[torch.Tensor]]] = {}  # class: [object's pixels, other pixels], (n, f) each
         self.heads: dict[int, OnlineHead] = {}
         self.scales: dict[int, Normalization] = {}
@@ -73,7 +62,7 @@ class OnlineMasks:
             kinds = self.samples.setdefault(label, [[], []])
             for kind, chosen in zip(kinds, (of_object, ~of_object), strict=True):
                 rows = torch.nonzero(chosen.flatten()).flatten()
-                rows = sample(rows, int(SAMPLING_FACTOR * len(rows)), generator)
+                rows = sample(rows, int(self.pixel_share * len(rows)), generator)
                 kind.append(pixels.flatten(0, 1)[rows])
                 if sum(map(len, kind)) > 2 * MAX_PIXELS:  # memory stays bounded however long the showing
                     kind[:] = [_thinned(kind, MAX_PIXELS, generator)]
@@ -82,7 +71,7 @@ class OnlineMasks:
     def train(self, seed: int, first: int = 0) -> None:
         """Train the classes that have new pixels; each class has its own scale, so the others do not change.
 
-        Classes below `first` wait for another time, new pixels or not.
+        Classes below `first` are not trained, new pixels or not.
         """
         ready = {label for label in self._stale if label >= first}
         for label in sorted(ready):
@@ -94,8 +83,8 @@ class OnlineMasks:
             X = torch.cat([of_object, others])
             Y = torch.cat([torch.ones(len(of_object), 1), -torch.ones(len(others), 1)])
             scale, head = Normalization.of(X), self.make_head()
-            if isinstance(head, Falkon):
-                head.number_of_centers = min(head.number_of_centers, MAX_CENTERS)
+            if isinstance(head, SharesKernel):
+                head = head.with_at_most(MAX_CENTERS)
             head.fit(scale(X), Y)
             self.heads[label], self.scales[label] = head, scale
         self._stale -= ready
@@ -119,18 +108,20 @@ class OnlineMasks:
             head, rows = self.heads.get(label), torch.nonzero(labels == label).flatten()
             if head is not None:
                 scores = head.decision_function(self.scales[label](features[rows].flatten(0, 2)))
-                # log odds, or estimates of the targets +1 and -1
-                shares = scores.sigmoid() if isinstance(head, Linear) else (0.5 + 0.5 * scores).clamp(0, 1)
-                values[rows] = shares.reshape(values[rows].shape).float()
+                values[rows] = probabilities(scores, head.score).reshape(values[rows].shape).float()
         if values.shape[1:] == size:
             return values
         return functional.interpolate(values[:, None], size, mode="bilinear", align_corners=False)[:, 0]
+
+    def fresh(self) -> OnlineMasks:
+        """Return untrained classifiers of the same configuration, without pixels."""
+        return type(self)(self.make_head, self.pixel_share)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Return classifiers, scale and kept pixels, by dotted name."""
         state: dict[str, torch.Tensor] = {}
         for label, head in self.heads.items():
-            state |= {f"head.{label}.{key}": value for key, value in head.state_dict().items()}
+            state |= with_prefix(f"head.{label}", head.state_dict())
             state[f"mean.{label}"] = self.scales[label].mean
             state[f"mean_norm.{label}"] = torch.tensor(self.scales[label].mean_norm, dtype=torch.float64)
         for label, kinds in self.samples.items():
@@ -138,17 +129,14 @@ class OnlineMasks:
         return state
 
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
-        """Take over what `state_dict` gave; CheckpointError, and nothing changes, when it is not that."""
+        """Load what `state_dict` returned; CheckpointError, and nothing changes, for anything else."""
         heads: dict[int, OnlineHead] = {}
         scales: dict[int, Normalization] = {}
         samples: dict[int, list[list[torch.Tensor]]] = {}
         try:
             for label in sorted({name.split(".")[1] for name in state if name.startswith("head.")}):
-                prefix = f"head.{label}."
                 heads[int(label)] = self.make_head()
-                heads[int(label)].load_state_dict(
-                    {k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)}
-                )
+                heads[int(label)].load_state_dict(part(state, f"head.{label}"))
                 scales[int(label)] = Normalization(state[f"mean.{label}"].clone(), float(state[f"mean_norm.{label}"]))
             for label in sorted({name.split(".")[1] for name in state if name.startswith("pixels.")}):
                 samples[int(label)] = [[state[f"pixels.{label}.{number}"].clone()] for number in range(2)]
@@ -166,7 +154,7 @@ def pixel_features(extractor: FeatureExtractor, image: ImageFeatures, boxes: tor
     """
     features = extractor.mask_features(image, boxes).float().cpu()
     if not bool(torch.isfinite(features).all()):
-        raise DataError("the features of a image's pixels are not finite; expected numbers")
+        raise DataError("the features of an image's pixels are not finite; expected numbers")
     if extractor.mask_size <= GRID:
         return features
     return functional.adaptive_avg_pool2d(features.permute(0, 3, 1, 2), GRID).permute(0, 2, 3, 1).contiguous()

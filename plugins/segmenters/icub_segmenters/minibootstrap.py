@@ -9,10 +9,8 @@ from typing import Protocol
 import torch
 
 from icub_core.errors import ConfigError
+from icub_core.interfaces.abilities import SharesKernel
 from icub_core.interfaces.online_head import OnlineHead
-from icub_segmenters.heads.falkon import Falkon
-from icub_segmenters.heads.nystrom import NystromSystem
-from icub_segmenters.heads.products import fast_products
 
 MakeHead = Callable[[], OnlineHead]
 
@@ -30,9 +28,9 @@ class Minibootstrap:
 
     Attributes:
         batches: Number of batches of negatives (n_B).
-        batch_size: Negatives a batch (BS).
+        batch_size: Negatives per batch (BS).
         easy: Kept negatives that score below are dropped again.
-        hard: Fresh negatives that score above are taken in.
+        hard: Fresh negatives that score above are added.
     """
 
     batches: int = 10
@@ -83,9 +81,9 @@ class Minibootstrap:
         """Train all classes at once on one pool of regions: a documented variation, much faster.
 
         Classes share samples, centers and the factorization; a region of one class is a negative of all others. A
-        fresh negative is taken in when it is hard for any class. With FALKON the centers are drawn once from the
-        whole pool and every kernel row is computed once, for scoring and training alike; easy negatives, once taken
-        in, stay: taking them out would cost as much as it saves.
+        fresh negative is added when it is hard for any class. With a head that shares its kernel, such as FALKON, the
+        centers are drawn once from the whole pool and every kernel row is computed once, for scoring and training
+        alike; easy negatives, once added, stay: taking them out would cost as much as it saves.
 
         Args:
             make_head: Gives an untrained head.
@@ -99,9 +97,9 @@ class Minibootstrap:
         head = make_head()
         start = torch.cat([positives, first])
         Y = one_vs_rest(label, classes)
-        if isinstance(head, Falkon):
-            pool = torch.cat([start, *rest])
-            return self._train_shared_falkon(head, X, Y, start, rest, pool)
+        if isinstance(head, SharesKernel):
+            self._train_on_one_kernel(head, X, Y, start, rest)
+            return head
         chosen = start
         head.fit(X[chosen], Y[chosen])
         for batch in rest:
@@ -111,28 +109,18 @@ class Minibootstrap:
                 head.fit(X[chosen], Y[chosen])
         return head
 
-    def _train_shared_falkon(
-        self,
-        head: Falkon,
-        X: Rows,
-        Y: torch.Tensor,
-        start: torch.Tensor,
-        rest: list[torch.Tensor],
-        pool: torch.Tensor,
-    ) -> Falkon:
-        centers = X[pool[head.choose_centers(Y[pool])]].to(head.device)
-        system = NystromSystem(centers, head.kernel, Y.shape[1])
-        with fast_products(head.device):
-            system.add(X[start], Y[start].to(head.device))
-            alpha = system.solve(head.lam)
-            for batch in rest:
-                rows = system.rows(X[batch])
-                hard = (rows @ alpha > self.hard).any(dim=1)
-                if bool(hard.any()):
-                    system.add_rows(rows[hard], Y[batch].to(head.device)[hard])
-                    alpha = system.solve(head.lam)
+    def _train_on_one_kernel(
+        self, head: SharesKernel, X: Rows, Y: torch.Tensor, start: torch.Tensor, rest: list[torch.Tensor]
+    ) -> None:
+        pool = torch.cat([start, *rest])
+        system = head.kernel_system(X[pool[head.choose_centers(Y[pool])]], Y.shape[1])
+        system.add(X[start], Y[start])
+        for batch in rest:
+            rows = system.rows(X[batch])
+            hard = (system.scores(rows) > self.hard).any(dim=1)
+            if bool(hard.any()):
+                system.add_rows(rows[hard], Y[batch][hard.cpu()])
         head.adopt(system)
-        return head
 
 
 def one_vs_rest(label: torch.Tensor, classes: int) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""Bringing features to a common scale, so that one kernel width suits all extractors."""
+"""Normalization of features to a common scale, so that one kernel width suits all extractors."""
 
 from __future__ import annotations
 

@@ -1,20 +1,22 @@
 """On-line region proposals: what the two ways of learning them have in common (thesis 11.3.2).
 
 Anchors of the network's cells are scored by classifiers that were trained on the taught objects, and moved by one
-regressor an anchor type. How the classifiers are trained is the business of `FaithfulRpn` and `SharedRpn`.
+regressor per anchor type. `FaithfulRpn` and `SharedRpn` differ in how the classifiers are trained.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torchvision.ops import nms
 
-from icub_core.errors import CheckpointError, NotFittedError
-from icub_core.interfaces.feature_extractor import RpnCells
+from icub_core.errors import CheckpointError, DataError, NotFittedError
+from icub_core.interfaces.abilities import ProposesCells
+from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures, RpnCells
 from icub_core.interfaces.online_head import OnlineHead
+from icub_core.weights import part, with_prefix
 from icub_segmenters.boxes import clip, decode, encode
 from icub_segmenters.heads.rls import Rls
 from icub_segmenters.minibootstrap import MakeHead, Minibootstrap
@@ -52,7 +54,7 @@ class Rows:
 
     @classmethod
     def joined(cls, parts: list[Rows]) -> Rows:
-        """Put parts, at least one, one behind the other."""
+        """Concatenate parts, at least one."""
         values = [p.values for p in parts if p.values is not None]
         columns = [torch.cat([getattr(p, name) for p in parts]) for name in ("features", "types", "image")]
         return cls(columns[0], columns[1], columns[2], torch.cat(values) if values else None)
@@ -67,17 +69,17 @@ class OnlineRpn(ABC):
 
     TABLES: tuple[str, ...] = ("regressed",)
     box_penalty: float
-    """lambda of the regressors on features of norm 20."""
+    """Of the regressors on features of norm 20."""
 
-    def __init__(self, make_head: MakeHead, procedure: Minibootstrap, proposals: int = 100) -> None:
+    def __init__(self, make_head: MakeHead, minibootstrap: Minibootstrap, proposals: int = 100) -> None:
         """Configure; nothing is trained.
 
         Args:
             make_head: Gives an untrained classifier.
-            procedure: Numbers of the Minibootstrap.
-            proposals: Regions kept an image after suppression at IoU 0.7.
+            minibootstrap: Numbers of the Minibootstrap.
+            proposals: Regions kept per image after suppression at IoU 0.7.
         """
-        self.make_head, self.procedure, self.proposals = make_head, procedure, proposals
+        self.make_head, self.minibootstrap, self.proposals = make_head, minibootstrap, proposals
         self.images = 0
         self.tables: dict[str, list[Rows]] = {name: [] for name in self.TABLES}
         self.normalization: Normalization | None = None
@@ -90,7 +92,7 @@ class OnlineRpn(ABC):
         self.images += 1
 
     def train(self, generator: torch.Generator) -> None:
-        """Train classifiers and regressors of every anchor type that has a positive; the others propose nothing."""
+        """Train classifiers and regressors of every anchor type with a positive; other types propose no region."""
         if self.images == 0:
             raise NotFittedError("the region proposal network has seen no image")
         self.normalization, self.heads = self._train_classifiers(generator)
@@ -99,7 +101,7 @@ class OnlineRpn(ABC):
         for kind in regressed.types.unique().tolist():
             own = regressed.types == kind
             assert regressed.values is not None
-            self.regressors[kind] = Rls(lam=self.box_penalty)
+            self.regressors[kind] = Rls(penalty=self.box_penalty)
             self.regressors[kind].fit(self.normalization(regressed.features[own]), regressed.values[own])
 
     def propose(self, cells: RpnCells, size: tuple[int, int]) -> tuple[torch.Tensor, torch.Tensor]:
@@ -121,7 +123,7 @@ class OnlineRpn(ABC):
 
     def fresh(self) -> OnlineRpn:
         """Return an untrained one of the same configuration."""
-        return type(self)(self.make_head, self.procedure, self.proposals)
+        return type(self)(self.make_head, self.minibootstrap, self.proposals)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Return heads, scale and kept cells, by dotted name."""
@@ -131,7 +133,7 @@ class OnlineRpn(ABC):
             state["mean_norm"] = torch.tensor(self.normalization.mean_norm, dtype=torch.float64)
         for name, heads in (("head", self.heads), ("regressor", self.regressors)):
             for kind, head in heads.items():
-                state |= {f"{name}.{kind}.{key}": value for key, value in head.state_dict().items()}
+                state |= with_prefix(f"{name}.{kind}", head.state_dict())
         for name, parts in self.tables.items():
             if parts:
                 rows = Rows.joined(parts)
@@ -141,7 +143,7 @@ class OnlineRpn(ABC):
         return state
 
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
-        """Take over what `state_dict` gave; CheckpointError, and nothing changes, when it is not that."""
+        """Load what `state_dict` returned; CheckpointError, and nothing changes, for anything else."""
         loaded: dict[str, dict[int, OnlineHead]] = {"head": {}, "regressor": {}}
         tables: dict[str, list[Rows]] = {name: [] for name in self.TABLES}
         try:
@@ -150,9 +152,8 @@ class OnlineRpn(ABC):
             if "mean" in state:
                 normalization = Normalization(state["mean"].clone(), float(state["mean_norm"]))
             for name, kind in sorted({tuple(k.split(".")[:2]) for k in state if k.split(".")[0] in loaded}):
-                prefix = f"{name}.{kind}."
-                head = self.make_head() if name == "head" else Rls(lam=self.box_penalty)
-                head.load_state_dict({k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)})
+                head = self.make_head() if name == "head" else Rls(penalty=self.box_penalty)
+                head.load_state_dict(part(state, f"{name}.{kind}"))
                 loaded[name][int(kind)] = head
             for name in self.TABLES if images else ():
                 features, types, image = (
@@ -182,7 +183,7 @@ class OnlineRpn(ABC):
         self.tables["regressed"].append(self._rows(cells, chosen, encode(anchors, truth)))
 
     def _rows(self, cells: RpnCells, chosen: torch.Tensor, values: torch.Tensor | None = None) -> Rows:
-        """Return the cells of anchors with flat numbers (n,), cell x anchors a cell + anchor."""
+        """Return the cells of anchors with flat numbers (n,), cell x anchors per cell + anchor."""
         features = cells.features[chosen // cells.anchors.shape[1]]  # indexing copies: the maps can be forgotten
         return Rows(features, cells.types.flatten()[chosen], torch.full((len(chosen),), self.images), values)
 
@@ -193,3 +194,22 @@ def some_anchors(cells: RpnCells, count: int, size: tuple[int, int], generator: 
     each = -(-count // len(types.unique()))
     chosen = sample_per_group(torch.arange(len(types)), types, each, generator)
     return clip(cells.anchors.reshape(-1, 4)[chosen], size)
+
+
+def cells_of(extractor: FeatureExtractor, image: ImageFeatures) -> RpnCells:
+    """Return the cells of an image.
+
+    Raises:
+        DataError: Their features are not finite.
+    """
+    assert isinstance(extractor, ProposesCells)
+    cells = extractor.rpn_cells(image)
+    if not bool(torch.isfinite(cells.features).all()):
+        raise DataError("the features of an image's cells are not finite; expected numbers")
+    return cells
+
+
+def with_proposals(rpn: OnlineRpn, extractor: FeatureExtractor, image: ImageFeatures) -> ImageFeatures:
+    """Replace the proposals of an image by those of an on-line network."""
+    boxes, scores = rpn.propose(cells_of(extractor, image), image.image_size)
+    return replace(image, proposals=boxes, scores=scores)

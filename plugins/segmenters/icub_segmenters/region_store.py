@@ -1,4 +1,4 @@
-"""Where described regions are kept: each one's features once, however many classes use them."""
+"""A table of described regions, which all classes share: the features of each region are kept once."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class RegionStore:
     """A growing table of regions; row numbers are what classes, batches and buffers refer to.
 
     Each row gets a random number when it comes, its priority. The rows of lowest priority among any group are a
-    uniform sample of that group, whatever else is forgotten later (see `sampling`).
+    uniform sample of that group, whatever other rows are dropped later (see `sampling`).
     """
 
     def __init__(self, dim: int, seed: int = 0) -> None:
@@ -129,7 +129,7 @@ class RegionStore:
         return torch.arange(rows.start, rows.stop)
 
     def keep(self, rows: torch.Tensor) -> None:
-        """Forget all rows but these; what is kept is numbered anew in their order and slack is given back."""
+        """Keep these rows alone, numbered anew in their order, without unused memory."""
         self._table = {name: column[rows] for name, column in self._table.items()}
         self._size = len(rows)
 
@@ -139,7 +139,7 @@ class RegionStore:
         return {**state, "images": torch.tensor(self.images)}
 
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
-        """Take over what `state_dict` gave; CheckpointError, and nothing changes, when it is not that."""
+        """Load what `state_dict` returned; CheckpointError, and nothing changes, for anything else."""
         if set(state) != {*_COLUMNS, "images"}:
             raise CheckpointError(f"the region store has columns {sorted(state)}; expected {sorted(_COLUMNS)}")
         n = len(state["label"])

@@ -1,4 +1,4 @@
-"""Turning an annotated image into regions to learn from."""
+"""Regions of an annotated image that the detector is trained on."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import torch
 
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_segmenters.boxes import iou, jittered
+from icub_segmenters.procedure import STANDARD, Procedure
 from icub_segmenters.region_store import BACKGROUND, Regions
 from icub_segmenters.sampling import sample
 
@@ -13,10 +14,6 @@ POSITIVE_IOU = 0.6
 """A region that overlaps a true box by at least this much is a positive of its class (thesis 11.3.2)."""
 NEGATIVE_IOU = 0.3
 """A region that overlaps every true box by less is a negative (thesis 11.3.2)."""
-JITTERED = 6
-"""Boxes drawn around each true one: with the proposals they are the positives."""
-DISTRACTOR_BOXES = 2
-"""Boxes described of each known other object: its own, and others drawn around it."""
 KEPT_NEAR = 12
 """Regions an image contributes at most that overlap an object too little to be its positives and too much to be its
 negatives; they are other classes' negatives."""
@@ -27,7 +24,7 @@ KEPT_NEGATIVES = 40
 def assign(
     boxes: torch.Tensor, truth: torch.Tensor, truth_label: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Say which class each box belongs to.
+    """Return the class that each box belongs to.
 
     Args:
         boxes: (n, 4).
@@ -55,25 +52,25 @@ def describe(
     generator: torch.Generator,
     distractors: torch.Tensor | None = None,
     others: torch.Tensor | None = None,
+    procedure: Procedure = STANDARD,
 ) -> Regions:
     """Describe true boxes (m, 4), boxes drawn around them, and the network's proposals (thesis 11.3.2).
 
     Boxes of other objects (k, 4), where they are known, are described too: what a distractor looks like when it is well
-    framed is what must not be taken for a taught object, and few proposals of a image frame one.
+    framed is what must not be taken for a taught object, and few proposals of an image frame one.
     Of the proposals that are no positives a uniform choice is described; features of the others are not needed.
     Of other boxes (j, 4), where they are given, as many negatives are described as of the proposals.
     """
-    around = [jittered(box, JITTERED, POSITIVE_IOU, image.image_size, generator) for box in truth]
+    around = [jittered(box, procedure.jittered_boxes, POSITIVE_IOU, image.image_size, generator) for box in truth]
     proposals = image.proposals.cpu()
     label, near, _ = assign(proposals, truth, truth_label)
     positive, between = label != BACKGROUND, (label == BACKGROUND) & (near != BACKGROUND)
     groups = ((positive, len(proposals)), (between, KEPT_NEAR), (near == BACKGROUND, KEPT_NEGATIVES))
     kept = torch.cat([sample(torch.nonzero(group).flatten(), most, generator) for group, most in groups])
-    for box in () if distractors is None else distractors:
-        drawn = (
-            jittered(box, DISTRACTOR_BOXES - 1, POSITIVE_IOU, image.image_size, generator) if DISTRACTOR_BOXES else box
-        )
-        around.append(torch.cat([box[None], drawn.reshape(-1, 4)])[:DISTRACTOR_BOXES])
+    boxes_each = procedure.distractor_boxes
+    for box in () if distractors is None or boxes_each == 0 else distractors:
+        drawn = jittered(box, boxes_each - 1, POSITIVE_IOU, image.image_size, generator)
+        around.append(torch.cat([box[None], drawn]))
     if others is not None:
         away = torch.nonzero(assign(others, truth, truth_label)[1] == BACKGROUND).flatten()
         around.append(others[sample(away, KEPT_NEGATIVES, generator)])

@@ -1,4 +1,4 @@
-"""Exact uniform sampling of negatives, a fixed number an image, while images keep arriving (Algorithms 2 and 3).
+"""Exact uniform sampling of negatives, a fixed number per image, while images keep arriving (Algorithms 2 and 3).
 
 A uniform sample without replacement of such a sample is uniform (thesis appendix D), so old images may be thinned out
 again and again as new ones come. Here more holds: rows are chosen by the random priority that each got when it came,
@@ -68,10 +68,10 @@ def later_negatives(store: RegionStore, first: int, budget: int, generator: torc
 
 
 def thin_out(store: RegionStore, budget: int) -> None:
-    """Forget what no class will use any more; what `shared_negatives` and `class_negatives` choose stays the same.
+    """Drop rows that no later training would choose; the samples of all `..._negatives` stay the same.
 
     An image keeps its share of background, of all its regions (the buffer of Algorithm 3), and of those away from each
-    class that it shows; a class keeps MOST_NEAR positives and near misses.
+    class that it shows; a class keeps MAX_NEAR positives and near misses.
     """
     n, near = len(store), store.near
     kept = torch.zeros(n, dtype=torch.bool)

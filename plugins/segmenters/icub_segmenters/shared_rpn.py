@@ -1,7 +1,7 @@
 """On-line region proposals for all anchor types of a cell at once: a documented variation, much faster.
 
-The thesis trains one classifier an anchor type (`FaithfulRpn`). With the few frames of a showing many types have hardly
-a positive, and their classifiers cannot be compared with one another. Here a cell is a sample, and how well each of its
+The thesis trains one classifier per anchor type (`FaithfulRpn`). With few taught frames many types have hardly a
+positive, and their classifiers cannot be compared with one another. Here a cell is a sample, and how well each of its
 anchors covers an object is what is predicted: -1 up to an IoU of 0.3, +1 from 0.7, linear between. All types of a
 cell share samples, centers and factorization.
 """
@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import torch
 
+from icub_core.interfaces.abilities import SharesKernel
 from icub_core.interfaces.feature_extractor import RpnCells
 from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.boxes import iou
 from icub_segmenters.faithful_rpn import NEGATIVE_IOU, POSITIVE_IOU, best_of_missed
-from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.normalization import Normalization
 from icub_segmenters.online_rpn import NO_CLASSIFIER, OnlineRpn, Rows
 from icub_segmenters.sampling import lowest_per_group, quota_per_image
@@ -58,12 +58,12 @@ class SharedRpn(OnlineRpn):
         values = torch.cat([targets, torch.rand(len(targets), 1, generator=generator)], dim=1)
         is_near = (targets > -1).any(dim=1)
         first = torch.arange(len(targets)) * cells.types.shape[1]
-        quota = quota_per_image(self.procedure.budget, self.images + 1)
+        quota = quota_per_image(self.minibootstrap.budget, self.images + 1)
         for name, chosen in (("near", is_near), ("far", ~is_near)):
             rows = self._rows(cells, first[chosen], values[chosen])
             self.tables[name].append(rows.take(_lowest(rows, min(quota, MAX_AN_IMAGE))))
             groups = len(cells.types[:, 0].unique())
-            if sum(map(len, self.tables[name])) > SURPLUS * self.procedure.budget * groups:
+            if sum(map(len, self.tables[name])) > SURPLUS * self.minibootstrap.budget * groups:
                 self._thin_out(name, self.images + 1)
 
     def _train_classifiers(self, generator: torch.Generator) -> tuple[Normalization, dict[int, OnlineHead]]:
@@ -78,8 +78,8 @@ class SharedRpn(OnlineRpn):
         for group in near.types.unique().tolist():
             own = rows.types == group
             head = self.make_head()
-            if isinstance(head, Falkon):
-                head.number_of_centers = min(head.number_of_centers, MAX_CENTERS)
+            if isinstance(head, SharesKernel):
+                head = head.with_at_most(MAX_CENTERS)
             head.fit(normalization(rows.features[own]), rows.values[own, :-1])
             heads[group] = head
         return normalization, heads
@@ -95,7 +95,7 @@ class SharedRpn(OnlineRpn):
     def _thin_out(self, name: str, images: int) -> None:
         """Bring every image down to its share of a table's cells, for every group."""
         rows = Rows.joined(self.tables[name])
-        self.tables[name] = [rows.take(_lowest(rows, quota_per_image(self.procedure.budget, images)))]
+        self.tables[name] = [rows.take(_lowest(rows, quota_per_image(self.minibootstrap.budget, images)))]
 
 
 def _lowest(rows: Rows, count: int) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""One annotated image, checked and in the form in which heads learn from it."""
+"""One annotated image as tensors, and checks of its masks."""
 
 from __future__ import annotations
 

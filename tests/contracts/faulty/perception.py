@@ -12,6 +12,7 @@ from icub_core.errors import CheckpointError
 from icub_core.interfaces.feature_extractor import RpnCells
 from icub_testing.tiny.perception import TinyFeatureExtractor, TinyHead, TinySegmenter
 
+from ..kernel_head import KernelHead
 from .base import breaks
 
 
@@ -127,9 +128,9 @@ class NormalizesByWhatItSaw(TinyHead):
 
 
 @breaks("online_head", "check_inputs_unchanged")
-class RewritesTargets(TinyHead):
+class SmoothsTargets(TinyHead):
     def fit(self, X, Y, sample_weight=None):
-        Y[Y < 0] = 0
+        Y.mul_(0.9)
         super().fit(X, Y, sample_weight)
 
 
@@ -275,3 +276,25 @@ class MasksAreScores(TinyFeatureExtractor):
 class CellsWithoutTheirAnchors(TinyFeatureExtractor):
     def rpn_cells(self, features):
         return RpnCells(torch.zeros((6, 8)), torch.zeros((5, 3, 4)), torch.zeros((5, 3), dtype=torch.int64))
+
+
+@breaks("online_head", "check_score_meaning")
+class CallsLogOddsEstimates(TinyHead):
+    def decision_function(self, X):
+        return 5 * super().decision_function(X)
+
+
+@breaks("online_head", "check_shares_kernel")
+class AdoptsHalf(KernelHead):
+    def adopt(self, system):
+        super().adopt(system)
+        self._weights = self._weights / 2
+
+
+@breaks("segmenter", "check_adds_classes")
+class ReplacesOldClasses(TinySegmenter):
+    def add_classes(self):
+        old = set(self._known)
+        report = self.update()
+        self._known = {label: color for label, color in self._known.items() if label not in old}
+        return replace(report, classes=self.classes)

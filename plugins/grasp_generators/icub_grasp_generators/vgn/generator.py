@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import torch
 
@@ -135,13 +132,6 @@ class Vgn(GraspGenerator):
     def _judged(self, judge: HandJudge, T_right: FloatArray, cloud: PointCloud, table: Table | None) -> FloatArray:
         volume, center, bottom = _volume(cloud, table)
         return judge.judge(volume.range_view(cloud), T_right, center, bottom)
-
-    @classmethod
-    def train(cls, run_dir: Path, seed: int, minutes: float, progress: Callable[[float, str], None]) -> None:
-        """Make the shipped weights: trials in simulation, then gradient steps (see `training`)."""
-        from icub_grasp_generators.vgn.training import train
-
-        train(run_dir, seed, minutes, progress)
 
 
 def _volume(cloud: PointCloud, table: Table | None) -> tuple[Volume, FloatArray, float]:

@@ -68,8 +68,8 @@ JUDGE_SHARE = 0.16
 """Of the whole time, for the judge; it learns from the hand's trials."""
 
 
-def train(run_dir: Path, seed: int, minutes: float, progress: Progress) -> None:
-    """Make trials and train, or go on with it, until `minutes` in all are spent; writes weights and cards."""
+def train(run_dir: Path, seed: int, minutes: float = 60.0, progress: Progress = lambda share, text: None) -> None:
+    """Make trials and train, or resume, until `minutes` in all are spent; writes weights and cards."""
     begun, seconds = 0.0, 60 * minutes
     start_from: Path | None = None
     for part in PARTS:

@@ -1,4 +1,4 @@
-"""The strongest cheap baseline: a linear classifier, trained by gradient descent, on the very regions of `falkon`."""
+"""Baseline: a linear classifier, trained by gradient descent on the same regions as `falkon`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from icub_core.interfaces.feature_extractor import FeatureExtractor
 from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.detection import OnlineDetector
 from icub_segmenters.online_segmenter import OnlineSegmenter
+from icub_segmenters.procedure import Procedure
 
 MIN_LOGIT = -6.0
 """Log odds below which nothing is reported: a probability of 0.002."""
@@ -29,12 +30,14 @@ class SoftmaxDetector(OnlineDetector):
 
 
 class LinearSoftmax(OnlineSegmenter):
-    """The strongest cheap baseline: linear softmax classifiers on the regions that `falkon` learns from.
+    """Baseline: linear softmax classifiers trained on the same regions as `falkon`.
 
     Features, pasted clutter, box regressors and the combination of masks are those of `OnlineSegmenter`; only the
-    classifiers differ. All negatives of the budget are seen in every epoch, so nothing is lost by choosing hard ones.
-    What is left of a difference to `falkon` is what its kernel adds.
+    classifiers differ. Every epoch uses all negatives of the budget, without mining of hard ones, so that a remaining
+    difference to `falkon` is due to its kernel.
     """
+
+    detector_type = SoftmaxDetector
 
     def __init__(
         self,
@@ -63,6 +66,5 @@ class LinearSoftmax(OnlineSegmenter):
             composites=composites,
             masks=masks,
             seed=seed,
+            procedure=Procedure(min_score=MIN_LOGIT),
         )
-        self.lowest_score = MIN_LOGIT
-        self.detector = SoftmaxDetector(online_head, self.procedure, shared=True, repool=False)

@@ -7,22 +7,19 @@ import json
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import cast
 
 import cv2
 import numpy as np
 import torch
-from safetensors.torch import save_file
 from torch import nn
 
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import CheckpointError, ConfigError, NotFittedError, WeightsError
-from icub_core.files import write_atomically
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
-from icub_segmenters.feature_extractors.compact import (
+from icub_core.weights import entry, read_tensors, write_tensors
+from icub_segmenters.feature_extractors.compact_regions import (
     CENTER,
     SCALE,
-    CompactMaskRcnn,
     CompactRegions,
     calibrate,
     load_compact,
@@ -30,7 +27,7 @@ from icub_segmenters.feature_extractors.compact import (
 from icub_segmenters.feature_extractors.evaluation import detect
 from icub_segmenters.feature_extractors.network import CompactNetwork
 from icub_segmenters.feature_extractors.region_network import RegionExtractor
-from icub_segmenters.feature_extractors.weights import SHIPPED, read_safetensors
+from icub_segmenters.feature_extractors.weights import weights_file
 from icub_segmenters.frame_store import FrameStore
 from icub_segmenters.mask_geometry import boxes_of_masks
 
@@ -42,7 +39,7 @@ CALIBRATED = 20
 
 
 class MaskRcnn(Segmenter):
-    """The upper bound by back-propagation: backbone, proposals and all heads go on training on the TARGET-TASK.
+    """Upper bound by back-propagation: all of Mask R-CNN is fine-tuned, backbone, proposals and heads.
 
     It starts from the pre-trained compact network with a fresh classification layer; statistics of the batch
     normalization stay as they are, since small batches of one task would spoil them. Like the network itself it refines
@@ -75,8 +72,7 @@ class MaskRcnn(Segmenter):
         """
         if epochs < 1:
             raise ConfigError(f"epochs is {epochs}; expected at least 1")
-        path = SHIPPED / f"{weights}.safetensors" if weights == Path(weights).stem else Path(weights)
-        self._pretrained, *statistics = load_compact(path)
+        self._pretrained, *statistics = load_compact(weights_file(weights))
         self._statistics = statistics[0], statistics[1]  # center and scale of the region features
         self.epochs, self.learning_rate, self.weight_decay = epochs, learning_rate, weight_decay
         self.shuffle, self.seed = shuffle, seed
@@ -92,7 +88,7 @@ class MaskRcnn(Segmenter):
         return self._trained
 
     def observe(self, frame: RgbdFrame, instances: Sequence[Instance]) -> None:
-        """Keep one annotated frame; one without an instance is kept out, since its losses are not defined.
+        """Keep one annotated frame; one without an instance is not trained on.
 
         Raises:
             DataError: A mask is empty or has another size than the image; nothing is kept of the frame.
@@ -136,7 +132,7 @@ class MaskRcnn(Segmenter):
         """Find the taught objects, best first; scores are probabilities."""
         if self._extractor is None:
             raise NotFittedError("nothing was taught yet: call observe for every frame, then update")
-        found = detect(cast(CompactMaskRcnn, self._extractor), frame.rgb, self._trained)
+        found = detect(self._extractor, frame.rgb, self._trained)
         return tuple(instance for instance in found if instance.mask.any())
 
     def save(self, path: Path) -> None:
@@ -147,21 +143,20 @@ class MaskRcnn(Segmenter):
         """
         if self._network is None:
             raise NotFittedError("nothing was taught yet: there is nothing to save")
-        state = {name: tensor.contiguous() for name, tensor in self._network.state_dict().items()}
-        state |= {CENTER: self._statistics[0], SCALE: self._statistics[1]}
+        tensors = self._network.state_dict() | {CENTER: self._statistics[0], SCALE: self._statistics[1]}
         classes = len(self._trained)
-        metadata = {"labels": json.dumps(self._trained), "architecture": "compact", "classes": str(classes)}
-        write_atomically(path / FILE, lambda file: save_file(state, file, metadata))
+        header = {"labels": json.dumps(self._trained), "architecture": "compact", "classes": str(classes)}
+        write_tensors(path / FILE, tensors, header)
 
     def load(self, path: Path) -> None:
         """Read what `save` wrote; CheckpointError for anything else, and the segmenter stays as it was."""
+        labels = list(entry(read_tensors(path / FILE)[1], "labels", path / FILE))
         try:
-            labels = list(json.loads(read_safetensors(path / FILE)[1]["labels"]))
             network, *statistics = load_compact(path / FILE)
-            if network.classes != len(labels):
-                raise ValueError(f"{len(labels)} labels for {network.classes} classes")
-        except (WeightsError, KeyError, ValueError, TypeError) as error:
+        except WeightsError as error:
             raise CheckpointError(f"{path} holds no fine-tuned network: {error}") from error
+        if network.classes != len(labels):
+            raise CheckpointError(f"{path} has {len(labels)} labels for {network.classes} classes; expected as many")
         self._adopt(network, tuple(labels), (statistics[0], statistics[1]))
         self._store = FrameStore(labels)
 

@@ -7,12 +7,13 @@ from collections.abc import Callable
 from icub_core.interfaces.feature_extractor import FeatureExtractor
 from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.online_segmenter import OnlineSegmenter
+from icub_segmenters.procedure import Procedure
 
 
 class OnlineObjectSegmentation(OnlineSegmenter):
-    """Thesis 10.3: Algorithm 1 a class, regions as the pre-trained network proposes them, per-pixel classifiers alone.
+    """Baseline O-OS (thesis 10.3): one Minibootstrap per class on pre-trained proposals, on-line masks alone.
 
-    One thing is beyond it and makes it stronger: positives are also boxes drawn around true ones.
+    Beyond the thesis, boxes drawn around true ones are positives, too, which makes the baseline stronger.
     """
 
     def __init__(
@@ -28,8 +29,8 @@ class OnlineObjectSegmentation(OnlineSegmenter):
         Args:
             feature_extractor: Proposes and describes regions.
             online_head: Gives an untrained classifier; the thesis chooses centers with ``selection=balanced``.
-            batches: Batches of negatives a class (n_B).
-            batch_size: Negatives in a batch (BS).
+            batches: Batches of negatives per class (n_B).
+            batch_size: Negatives per batch (BS).
             seed: Decides everything random.
         """
         super().__init__(
@@ -42,5 +43,5 @@ class OnlineObjectSegmentation(OnlineSegmenter):
             masks="online",
             repool=False,
             seed=seed,
+            procedure=Procedure(vote_iou=1.0),
         )
-        self.detector.vote = False

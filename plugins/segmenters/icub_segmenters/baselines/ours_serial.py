@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -12,14 +13,40 @@ from icub_core.errors import NotFittedError
 from icub_core.interfaces.feature_extractor import FeatureExtractor
 from icub_core.interfaces.online_head import OnlineHead
 from icub_core.interfaces.segmenter import UpdateReport
-from icub_segmenters.masks import OnlineMasks
+from icub_segmenters.observations import Observations
+from icub_segmenters.online_rpn import cells_of, with_proposals
 from icub_segmenters.online_segmenter import OnlineSegmenter
 from icub_segmenters.region_store import RegionStore
 from icub_segmenters.training_image import TrainingImage
 
 
+class Images(Observations):
+    """Keeps images and the cells of the proposal network; regions are described when images are extracted again."""
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        """Start empty; see `Observations`."""
+        super().__init__(*arguments, **settings)
+        self.images: list[TrainingImage] = []
+
+    def extract_again(self, generator: torch.Generator) -> None:
+        """Replace the regions and pixels by those of all images with the present on-line proposals."""
+        assert self.rpn is not None
+        self.store = RegionStore(self.extractor.region_dim, self.seed)
+        self.masks = self.masks.fresh()
+        with torch.no_grad():
+            for image in self.images:
+                features = with_proposals(self.rpn, self.extractor, self.extractor.extract(image.rgb))
+                self._keep_regions(features, image, generator)
+
+    def _keep(self, training_image: TrainingImage, generator: torch.Generator) -> None:
+        assert self.rpn is not None
+        image = self.extractor.extract(training_image.rgb)
+        self.rpn.observe(cells_of(self.extractor, image), training_image.boxes, image.image_size, generator)
+        self.images.append(training_image)
+
+
 class OursSerial(OnlineSegmenter):
-    """`OnlineSegmenter` with an on-line region proposal network and two extractions of features.
+    """Baseline: on-line region proposals are trained first, then all other heads on regions extracted again.
 
     While frames arrive only the cells of the proposal network are kept, with the images. `update` trains that
     network, goes through all images a second time with its proposals, and trains the other heads: better regions to
@@ -28,6 +55,8 @@ class OursSerial(OnlineSegmenter):
 
     Source: thesis 11.6.2, figure 11.5.
     """
+
+    observations_type = Images
 
     def __init__(
         self,
@@ -47,7 +76,7 @@ class OursSerial(OnlineSegmenter):
             online_head: Gives an untrained classifier at every call.
             mode: ``"shared"`` or ``"faithful"``.
             batches: Batches of negatives (n_B).
-            batch_size: Negatives in a batch (BS).
+            batch_size: Negatives per batch (BS).
             composites: Images with pasted clutter made of every observed frame; 0 for none.
             masks: ``"online"``, ``"pretrained"`` or ``"combined"``.
             seed: Decides everything random.
@@ -63,7 +92,6 @@ class OursSerial(OnlineSegmenter):
             proposals="online",
             seed=seed,
         )
-        self._training_images: list[TrainingImage] = []
 
     def update(self) -> UpdateReport:
         """Train the proposals, extract the features of all images again, train the other heads.
@@ -71,20 +99,16 @@ class OursSerial(OnlineSegmenter):
         Raises:
             NotFittedError: No instance was ever observed.
         """
-        if not any(len(training_image.numbers) for training_image in self._training_images):
-            raise NotFittedError("there is nothing to learn: observe at least one frame with an instance first")
+        seen = self.observations
         assert self.rpn is not None
+        assert isinstance(seen, Images)
+        if not any(len(image.numbers) for image in seen.images):
+            raise NotFittedError("there is nothing to learn: observe at least one frame with an instance first")
         start = time.perf_counter()
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self._observed)
+        generator = seen.generator()
         self.rpn.train(generator)
         proposed = time.perf_counter()
-        self.store = RegionStore(self.extractor.region_dim, self.seed)
-        self.masks = OnlineMasks(self.masks.make_head)
-        with torch.no_grad():
-            for training_image in self._training_images:
-                self._keep_regions(
-                    self._proposed(self.extractor.extract(training_image.rgb)), training_image, generator
-                )
+        seen.extract_again(generator)
         extracted = time.perf_counter()
         parts = self._train_heads(generator)
         return self._report(start, {"rpn": proposed - start, "features": extracted - proposed, **parts})
@@ -94,12 +118,7 @@ class OursSerial(OnlineSegmenter):
         return self.update()
 
     def load(self, path: Path) -> None:
-        """Read what `save` wrote; images are not part of it: what is observed later is learned anew, alone."""
+        """Read what `save` wrote; images are not part of it, so that later updates learn from later frames alone."""
         super().load(path)
-        self._training_images = []
-
-    def _take(self, training_image: TrainingImage, generator: torch.Generator) -> None:
-        assert self.rpn is not None
-        image = self.extractor.extract(training_image.rgb)
-        self.rpn.observe(self._cells(image), training_image.boxes, image.image_size, generator)
-        self._training_images.append(training_image)
+        assert isinstance(self.observations, Images)
+        self.observations.images = []

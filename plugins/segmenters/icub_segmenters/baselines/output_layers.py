@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import nn
 from torch.nn import functional
 from torchvision.ops import batched_nms
@@ -17,9 +15,9 @@ from torchvision.ops import batched_nms
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import CheckpointError, ConfigError, DataError, NotFittedError
 from icub_core.evaluation.overlap import boxes_of
-from icub_core.files import write_atomically
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
+from icub_core.weights import entry, fill, read_tensors, write_tensors
 from icub_segmenters.boxes import decode, encode
 from icub_segmenters.frame_store import FrameStore
 from icub_segmenters.mask_geometry import boxes_of_masks, crop_masks, paste_masks
@@ -34,7 +32,7 @@ MIN_MASK = 20
 
 
 class _OutputLayers(nn.Module):
-    """Class scores, one box refinement a class, one mask logit a class."""
+    """Class scores, one box refinement and one mask logit per class."""
 
     def __init__(self, region_dim: int, mask_dim: int, classes: int) -> None:
         super().__init__()
@@ -47,7 +45,7 @@ class _OutputLayers(nn.Module):
 
 
 class OutputLayers(Segmenter):
-    """The baseline by back-propagation: backbone, region proposals and feature layers frozen, output layers trained anew.
+    """Baseline by back-propagation: Mask R-CNN of which the output layers alone are trained, everything else frozen.
 
     Frames are kept and visited again in every epoch, each a step of its own. Adam is used where the thesis uses SGD:
     it needs fewer epochs here and so makes the baseline stronger. With `store_features` the frozen part runs once a
@@ -156,20 +154,14 @@ class OutputLayers(Segmenter):
         """Write the output layers to the folder `path`; the frames are not part of it."""
         if self._layers is None:
             raise NotFittedError("nothing was taught yet: there is nothing to save")
-        state = {name: tensor.contiguous() for name, tensor in self._layers.state_dict().items()}
-        metadata = {"labels": json.dumps(self._trained)}
-        write_atomically(path / FILE, lambda file: save_file(state, file, metadata))
+        write_tensors(path / FILE, self._layers.state_dict(), {"labels": json.dumps(self._trained)})
 
     def load(self, path: Path) -> None:
         """Read what `save` wrote; CheckpointError for anything else, and the segmenter stays as it was."""
-        try:
-            with safe_open(path / FILE, framework="pt") as file:
-                labels = list(json.loads((file.metadata() or {})["labels"]))
-                state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            layers = _OutputLayers(self.extractor.region_dim, self.extractor.mask_dim, len(labels))
-            layers.load_state_dict(state)
-        except (OSError, ValueError, KeyError, TypeError, RuntimeError, SafetensorError) as error:
-            raise CheckpointError(f"{path} holds no output layers of this network: {error}") from error
+        tensors, header = read_tensors(path / FILE)
+        labels = list(entry(header, "labels", path / FILE))
+        layers = _OutputLayers(self.extractor.region_dim, self.extractor.mask_dim, len(labels))
+        fill(layers, tensors, str(path / FILE), CheckpointError)
         self._layers = layers.eval().requires_grad_(False)
         self._store, self._trained, self._kept = FrameStore(labels), tuple(labels), []
 

@@ -1,6 +1,6 @@
 """DINOv2 features for the on-line heads, with the regions that the compact network proposes.
 
-Shows that the heads are not tied to Mask R-CNN. The weights are the user's: nothing is downloaded.
+The heads work on it as on Mask R-CNN. The weights are a file of the user.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from torchvision.ops import roi_align
 
 from icub_core.errors import WeightsError
 from icub_core.interfaces.feature_extractor import RpnCells
+from icub_core.weights import fill
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
 from icub_segmenters.feature_extractors.region_network import RegionExtractor, RegionNetwork, check_sizes
 from icub_segmenters.feature_extractors.resnet import TORCHVISION, freeze, preprocess
 from icub_segmenters.feature_extractors.vision_transformer import HEAD_DIM, PATCH, VisionTransformer
-from icub_segmenters.feature_extractors.weights import fill, read_any
+from icub_segmenters.feature_extractors.weights import read_any
 
 GRID = 2  # a region is described by the mean features of its four quarters
 MASK_SIDE = 14
@@ -77,10 +78,10 @@ class TransformerRegions(RegionNetwork):
         """The proposer's refinement."""
         return self._proposer.refine(maps.proposer, boxes * maps.factor) / maps.factor
 
-    def cells(self, maps: _Maps) -> RpnCells | None:
+    def cells(self, maps: _Maps) -> RpnCells:
         """The proposer's cells."""
         cells = self._proposer.cells(maps.proposer)
-        return None if cells is None else RpnCells(cells.features, cells.anchors / maps.factor, cells.types)
+        return RpnCells(cells.features, cells.anchors / maps.factor, cells.types)
 
 
 def load_transformer(path: Path) -> VisionTransformer:
@@ -103,7 +104,7 @@ def load_transformer(path: Path) -> VisionTransformer:
 
 
 class DinoV2(RegionExtractor):
-    """DINOv2 patch features on the compact network's proposals; 1536 features a region with ViT-S."""
+    """DINOv2 patch features on the compact network's proposals; 1536 features per region with ViT-S."""
 
     def __init__(
         self,
@@ -118,7 +119,7 @@ class DinoV2(RegionExtractor):
             weights: Path of a DINOv2 checkpoint as torch hub has it.
             proposer: Weights of the compact network that proposes regions, masks and refinements.
             image_size: Height and width of the area into which images are scaled; None: 336 x 448.
-            proposals: Regions kept an image.
+            proposals: Regions kept per image.
 
         Raises:
             WeightsError: Missing, truncated or foreign weights.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import islice
-from typing import cast
 
 import cv2
 import numpy as np
@@ -13,11 +12,13 @@ from numpy.typing import NDArray
 from torchvision.ops import batched_nms
 
 from icub_core.data import Instance
+from icub_core.errors import ConfigError
 from icub_core.evaluation.detection import evaluate_instances
 from icub_core.evaluation.proposals import average_recall, best_overlaps, recall
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.feature_extractor import FeatureExtractor
-from icub_segmenters.feature_extractors.compact import CompactMaskRcnn, CompactRegions
+from icub_segmenters.feature_extractors.compact_regions import CompactRegions
+from icub_segmenters.feature_extractors.region_network import RegionExtractor
 
 SCORE_THRESHOLD, NMS_IOU, MAX_DETECTIONS = 0.05, 0.5, 50
 
@@ -41,9 +42,11 @@ def paste(mask: NDArray[np.float32], box: NDArray[np.float64], size: tuple[int, 
 
 
 @torch.no_grad()
-def detect(extractor: CompactMaskRcnn, rgb: NDArray[np.uint8], classes: tuple[str, ...]) -> tuple[Instance, ...]:
+def detect(extractor: RegionExtractor, rgb: NDArray[np.uint8], classes: tuple[str, ...]) -> tuple[Instance, ...]:
     """Find the FEATURE-TASK's classes with the network's own classification layer."""
-    regions = cast(CompactRegions, extractor.network)
+    regions = extractor.network
+    if not isinstance(regions, CompactRegions):
+        raise ConfigError(f"the network is {type(regions).__name__}; expected the compact one, which has such a layer")
     features = extractor.extract(rgb)
     content, boxes = extractor.scaled(features, features.proposals)
     scores = regions.class_scores(content, boxes)[:, 1:]
@@ -93,7 +96,7 @@ def proposal_recall(
 
 
 def feature_task_precision(
-    extractor: CompactMaskRcnn, data: Dataset, frames: int, progress: Progress = lambda share: None
+    extractor: RegionExtractor, data: Dataset, frames: int, progress: Progress = lambda share: None
 ) -> dict[str, float]:
     """Measure mAP on the FEATURE-TASK with the network's own classification layer.
 

@@ -48,9 +48,9 @@ class RegionNetwork(ABC):
         """Boxes (N, 4) after the pre-trained class-agnostic refinement; unchanged when there is none."""
         return boxes
 
-    def cells(self, maps: Any) -> RpnCells | None:
-        """What an on-line RPN learns from; None when the network has no RPN."""
-        return None
+    @abstractmethod
+    def cells(self, maps: Any) -> RpnCells:
+        """Features and anchors of every location, which an on-line RPN learns from."""
 
 
 def check_sizes(image_size: list[int] | None, proposals: int) -> None:
@@ -182,8 +182,8 @@ class RegionExtractor(FeatureExtractor):
         return _inside(out, *features.image_size)
 
     @torch.no_grad()
-    def rpn_cells(self, features: ImageFeatures) -> RpnCells | None:
+    def rpn_cells(self, features: ImageFeatures) -> RpnCells:
         """Features and anchors of every location of the region proposal network, anchors in original pixels."""
         maps: _Maps = features.maps
         cells = self._network.cells(maps.content)
-        return None if cells is None else RpnCells(cells.features, cells.anchors / maps.factors, cells.types)
+        return RpnCells(cells.features, cells.anchors / maps.factors, cells.types)

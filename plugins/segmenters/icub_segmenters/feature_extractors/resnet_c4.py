@@ -20,6 +20,7 @@ from torchvision.ops import clip_boxes_to_image, nms, roi_align
 
 from icub_core.errors import WeightsError
 from icub_core.interfaces.feature_extractor import RpnCells
+from icub_core.weights import fill
 from icub_segmenters.feature_extractors.region_network import RegionExtractor, RegionNetwork, check_sizes
 from icub_segmenters.feature_extractors.resnet import (
     DETECTRON,
@@ -31,7 +32,7 @@ from icub_segmenters.feature_extractors.resnet import (
     shorter_side_size,
     without_configuration,
 )
-from icub_segmenters.feature_extractors.weights import fill, read_any
+from icub_segmenters.feature_extractors.weights import read_any
 
 STRIDE = 16
 ANCHOR_SIZES, ASPECT_RATIOS = (32, 64, 128, 256, 512), (0.5, 1.0, 2.0)
@@ -208,7 +209,7 @@ class C4Regions(RegionNetwork):
 
 
 class ResNet50C4(RegionExtractor):
-    """Mask R-CNN R-50-C4, the thesis's feature extractor: 2048 features a region, 256 a mask pixel on 14 x 14."""
+    """Mask R-CNN R-50-C4, the thesis's feature extractor: 2048 features per region, 256 per mask pixel on 14 x 14."""
 
     def __init__(
         self, weights: str = "mask_rcnn_R_50_C4.pth", shorter_side: int = SHORTER, proposals: int = 300
@@ -218,7 +219,7 @@ class ResNet50C4(RegionExtractor):
         Args:
             weights: Path of a Detectron2 ``mask_rcnn_R_50_C4`` checkpoint (.pth, .pkl or .safetensors).
             shorter_side: Pixels to which the shorter side of images is scaled.
-            proposals: Regions kept an image.
+            proposals: Regions kept per image.
 
         Raises:
             WeightsError: Missing, truncated or foreign weights.

@@ -18,6 +18,7 @@ from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 
 from icub_core.errors import WeightsError
 from icub_core.interfaces.feature_extractor import RpnCells
+from icub_core.weights import fill
 from icub_segmenters.feature_extractors.region_network import RegionExtractor, RegionNetwork, check_sizes
 from icub_segmenters.feature_extractors.resnet import (
     DETECTRON,
@@ -31,7 +32,7 @@ from icub_segmenters.feature_extractors.resnet import (
     with_background,
     without_configuration,
 )
-from icub_segmenters.feature_extractors.weights import fill, read_any
+from icub_segmenters.feature_extractors.weights import read_any
 
 TORCHVISION_FILE = "maskrcnn_resnet50_fpn_coco-bf2d0c1e.pth"
 SHORTER, LONGEST = 800, 1333
@@ -128,7 +129,7 @@ class FpnRegions(RegionNetwork):
         Args:
             path: File.
             image_size: Area into which images are scaled; None: shorter side 800, longer at most 1333.
-            proposals: Regions kept an image.
+            proposals: Regions kept per image.
 
         Raises:
             WeightsError: Missing, truncated, foreign or wrongly shaped.
@@ -209,7 +210,7 @@ class FpnRegions(RegionNetwork):
         return out
 
     def cells(self, maps: _FpnMaps) -> RpnCells:
-        """RPN features (256) of five levels, three anchors of one size each a cell."""
+        """RPN features (256) of five levels, three anchors of one size per cell."""
         rpn = self._model.rpn
         levels = list(maps.pyramid.values())
         blank = torch.zeros(1, 3, *(4 * s for s in levels[0].shape[2:]))
@@ -243,7 +244,7 @@ def propose(
 
 
 class ResNet50Fpn(RegionExtractor):
-    """Mask R-CNN R-50-FPN: 1024 features a region, 256 a mask pixel on 28 x 28."""
+    """Mask R-CNN R-50-FPN: 1024 features per region, 256 per mask pixel on 28 x 28."""
 
     def __init__(self, weights: str = "coco", image_size: list[int] | None = None, proposals: int = 300) -> None:
         """Load the network.
@@ -252,7 +253,7 @@ class ResNet50Fpn(RegionExtractor):
             weights: "coco": torchvision's file, when torch hub's folder has it; or the path of a checkpoint of
                 torchvision's or Detectron2's layout.
             image_size: Height and width of the area into which images are scaled; None: shorter side 800 pixels.
-            proposals: Regions kept an image.
+            proposals: Regions kept per image.
 
         Raises:
             WeightsError: Missing, truncated or foreign weights.

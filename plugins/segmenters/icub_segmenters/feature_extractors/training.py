@@ -25,16 +25,18 @@ import torch
 import torch.distributed
 import torch.multiprocessing
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import nn
 
 from icub_core.errors import CheckpointError
 from icub_core.evaluation.results import machine, versions
-from icub_core.files import write_atomically, write_text_atomically
+from icub_core.files import write_text_atomically
 from icub_core.registry import load
-from icub_segmenters.feature_extractors.compact import CENTER, SCALE, CompactMaskRcnn, calibrate
+from icub_core.weights import adam_state, load_adam_state, part, read_tensors, with_prefix, write_card, write_tensors
+from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
+from icub_segmenters.feature_extractors.compact_regions import CENTER, SCALE, calibrate
+from icub_segmenters.feature_extractors.evaluation import feature_task_precision, proposal_recall
 from icub_segmenters.feature_extractors.network import CompactNetwork
+from icub_segmenters.mask_geometry import boxes_of_masks
 
 log = logging.getLogger(__name__)
 
@@ -113,17 +115,10 @@ def make_batch(
         masks = (instances[None] == torch.arange(1, len(sample.labels) + 1, dtype=torch.uint8)[:, None, None]).byte()
         images.append(torch.from_numpy(sample.rgb).permute(2, 0, 1))
         labels = torch.from_numpy(sample.labels)
-        targets.append({"boxes": boxes_of(masks), "labels": labels, "masks": masks})
+        targets.append(
+            {"boxes": boxes_of_masks(masks.bool(), torch.zeros(len(masks), 4)), "labels": labels, "masks": masks}
+        )
     return torch.stack(images), targets
-
-
-def boxes_of(masks: torch.Tensor) -> torch.Tensor:
-    """Tight boxes (N, 4) xyxy px of non-empty masks (N, H, W), the far edges exclusive."""
-    rows, columns = masks.any(2), masks.any(1)
-    height, width = rows.shape[1], columns.shape[1]
-    y0, x0 = rows.byte().argmax(1), columns.byte().argmax(1)
-    y1, x1 = height - rows.flip(1).byte().argmax(1), width - columns.flip(1).byte().argmax(1)
-    return torch.stack([x0, y0, x1, y1], dim=1).float()
 
 
 class _Trainer:
@@ -186,19 +181,17 @@ class _Trainer:
                     else:
                         mine.copy_(new)
 
-    # checkpoints ----------------------------------------------------------------------------------------------
-
     def save(self, path: Path) -> None:
-        """Write everything needed to go on, atomically."""
-        tensors = {f"network.{k}": v for k, v in self.network.state_dict().items()}
-        tensors |= {f"average.{k}": v for k, v in self.average.state_dict().items()}
-        for name, parameter in self.parameters.items():
-            memory = self.optimizer.state.get(parameter, {})
-            tensors |= {f"adam.{key}.{name}": value for key, value in memory.items()}
-        write_safetensors(path, tensors, {"state": json.dumps(asdict(self.state))})
+        """Write everything needed to resume, atomically."""
+        tensors = with_prefix("network", self.network.state_dict()) | with_prefix("average", self.average.state_dict())
+        names = list(self.parameters)
+        for key, value in adam_state(self.optimizer).items():
+            number, _, moment = key.partition(".")
+            tensors[f"adam.{moment}.{names[int(number)]}"] = value
+        write_tensors(path, tensors, {"state": json.dumps(asdict(self.state))})
 
     def load(self, path: Path) -> None:
-        """Go on from a checkpoint.
+        """Resume from a checkpoint.
 
         Raises:
             CheckpointError: Unreadable, or of another seed, number of workers or number of classes.
@@ -211,35 +204,14 @@ class _Trainer:
                     "name another run folder"
                 )
         self.state = state
-        parts: dict[str, dict[str, torch.Tensor]] = {"network": {}, "average": {}, "adam": {}}
-        for key, value in tensors.items():
-            part, name = key.split(".", 1)
-            parts[part][name] = value
-        self.network.load_state_dict(parts["network"])
-        self.average.load_state_dict(parts["average"])
-        for name, parameter in self.parameters.items():
-            memory = {key: parts["adam"][f"{key}.{name}"] for key in ("step", "exp_avg", "exp_avg_sq")}
-            # the moments get the memory layout of their weight, as the fused optimizer wants it
-            self.optimizer.state[parameter] = {
-                key: torch.empty_like(parameter).copy_(v).detach() if v.ndim else v for key, v in memory.items()
-            }
-
-
-def write_safetensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> None:
-    """Write tensors atomically.
-
-    Raises:
-        CheckpointError: When the file cannot be written; an older file stays as it was.
-    """
-    content = {key: value.detach().contiguous().clone() for key, value in tensors.items()}
-
-    def write(scratch: Path) -> None:
-        try:
-            save_file(content, scratch, metadata)
-        except SafetensorError as error:  # hides the operating system's error
-            raise OSError(str(error)) from error
-
-    write_atomically(path, write)
+        self.network.load_state_dict(part(tensors, "network"))
+        self.average.load_state_dict(part(tensors, "average"))
+        numbers = {name: number for number, name in enumerate(self.parameters)}
+        memory = {}
+        for key, value in part(tensors, "adam").items():
+            moment, _, name = key.partition(".")
+            memory[f"{numbers[name]}.{moment}"] = value
+        load_adam_state(self.optimizer, memory)
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], TrainingState]:
@@ -248,11 +220,10 @@ def read_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], TrainingState]
     Raises:
         CheckpointError: When it is missing or cannot be read.
     """
+    tensors, header = read_tensors(path)
     try:
-        with safe_open(path, framework="pt") as file:
-            state = TrainingState(**json.loads((file.metadata() or {})["state"]))
-            return {key: file.get_tensor(key) for key in file.keys()}, state  # noqa: SIM118
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        return tensors, TrainingState(**json.loads(header["state"]))
+    except (KeyError, TypeError, ValueError) as error:
         raise CheckpointError(f"{path} is not a checkpoint of this training ({error})") from error
 
 
@@ -260,13 +231,13 @@ def export(checkpoint: Path, weights: Path, task: TrainingTask, images: int = 64
     """Write the averaged weights of a checkpoint as half-precision safetensors, ready to ship.
 
     Args:
-        checkpoint: What `train` returned.
+        checkpoint: What `fit` returned.
         weights: File to write.
         task: Gives the images on which the scales of the region features are measured.
         images: Number of those.
     """
     tensors, state = read_checkpoint(checkpoint)
-    average = {k.removeprefix("average."): v for k, v in tensors.items() if k.startswith("average.")}
+    average = part(tensors, "average")
     network = CompactNetwork(state.label_count)
     network.load_state_dict(average)
     rng = np.random.default_rng([state.seed, 7])
@@ -274,7 +245,7 @@ def export(checkpoint: Path, weights: Path, task: TrainingTask, images: int = 64
     center, scale = calibrate(network.eval(), samples)
     kept = {k: v.half() for k, v in average.items() if not k.endswith("num_batches_tracked")}
     kept |= {CENTER: center, SCALE: scale}
-    write_safetensors(weights, kept, {"architecture": "compact", "classes": str(state.label_count)})
+    write_tensors(weights, kept, {"architecture": "compact", "classes": str(state.label_count)})
     return state
 
 
@@ -310,7 +281,7 @@ def _work(rank: int, task: TrainingTask, folder: Path, state: TrainingState, bud
         torch.distributed.destroy_process_group()
 
 
-def train(
+def fit(
     task: TrainingTask,
     folder: Path,
     budget: Budget,
@@ -318,7 +289,7 @@ def train(
     workers: int = 2,
     progress: Progress | None = None,
 ) -> Path:
-    """Train, or go on training, in a run folder.
+    """Train, or resume a training, in a run folder.
 
     Args:
         task: Source of images.
@@ -338,7 +309,7 @@ def train(
     state = TrainingState(seed, workers, task.label_count)
     if (folder / CHECKPOINT).exists():
         found = read_checkpoint(folder / CHECKPOINT)[1]
-        log.info("going on after %d images in %s", found.images, folder)
+        log.info("resuming after %d images in %s", found.images, folder)
     context = torch.multiprocessing.get_context("spawn")
     news = context.Queue()
     crew = [
@@ -367,7 +338,7 @@ def train(
                 worker.terminate()
         (folder / f"meeting_{os.getpid()}").unlink(missing_ok=True)
     if failed:
-        raise CheckpointError(f"a training process failed; the same command goes on from {folder / CHECKPOINT}")
+        raise CheckpointError(f"a training process failed; the same command resumes from {folder / CHECKPOINT}")
     return folder / CHECKPOINT
 
 
@@ -387,8 +358,12 @@ def _plan(run_dir: Path, minutes: float, spent: float) -> float:
     return float(plan["training_minutes"])
 
 
-def train_compact(
-    run_dir: Path, seed: int, minutes: float, progress: Callable[[float, str], None], data: Path | None = None
+def train(
+    run_dir: Path,
+    seed: int,
+    minutes: float = 75.0,
+    progress: Callable[[float, str], None] = lambda share, text: None,
+    data: Path | None = None,
 ) -> Path:
     """Render the FEATURE-TASK, train on it, export and evaluate: what ``icub train feature_extractor=compact`` does.
 
@@ -406,20 +381,18 @@ def train_compact(
     dataset: Any = load("dataset", "feature_task")
     frames: Any = dataset(path=data, split="train", seed=seed)
     unseen: Any = dataset(path=data, split="validation", seed=seed)
-    for part in (frames, unseen):
-        part.prepare(lambda ready, wanted: progress(0.0, f"rendering {ready}/{wanted}"))
+    for split in (frames, unseen):
+        split.prepare(lambda ready, wanted: progress(0.0, f"rendering {ready}/{wanted}"))
     budget = Budget(minutes=_plan(run_dir, minutes, (time.monotonic() - begun) / 60))
 
     def report(news: dict[str, float]) -> None:
         losses = " ".join(f"{name} {news[name]:.2f}" for name in ("class", "box", "mask"))
         progress(TRAINING_SHARE * news["share"], f"{int(news['images'])} images, {losses}")
 
-    checkpoint = train(frames, run_dir, budget, seed, progress=report)
+    checkpoint = fit(frames, run_dir, budget, seed, progress=report)
     weights = run_dir / "compact.safetensors"
     progress(TRAINING_SHARE, "exporting")
     state = export(checkpoint, weights, frames)
-    from icub_segmenters.feature_extractors.evaluation import feature_task_precision, proposal_recall
-
     extractor, rest = CompactMaskRcnn(str(weights)), 1 - TRAINING_SHARE
     figures = feature_task_precision(
         extractor, unseen, len(unseen), lambda s: progress(TRAINING_SHARE + 0.5 * rest * s, "evaluating classes")
@@ -427,25 +400,21 @@ def train_compact(
         extractor, unseen, len(unseen), lambda s: progress(1 - 0.5 * rest * (1 - s), "evaluating proposals")
     )
     command = f"icub train feature_extractor=compact --seed {seed} --minutes {minutes:g}"
-    write_card(run_dir / "compact.json", command, state, len(frames), len(unseen), figures)
+    write_card(run_dir / "compact.json", card_of(command, state, len(frames), len(unseen), figures))
     return weights
 
 
-def write_card(
-    path: Path, command: str, state: TrainingState, frames: int, unseen: int, figures: dict[str, float], note: str = ""
-) -> None:
-    """Write the card of weights: how to make them again, from what, how long it took, and how good they are.
+def card_of(command: str, state: TrainingState, frames: int, unseen: int, figures: dict[str, float]) -> dict[str, Any]:
+    """Return the card of weights: how to make them again, from what, how long it took, and how good they are.
 
     Args:
-        path: JSON file.
         command: Line to type.
         state: At the end of training.
         frames: Training frames.
         unseen: Frames that were evaluated.
         figures: From `evaluation`.
-        note: What the other entries do not say.
     """
-    card = {
+    return {
         "name": "compact",
         "command": command,
         "seed": state.seed,
@@ -456,10 +425,9 @@ def write_card(
         "versions": versions(),
         "figures": {f"feature_task.{key}": round(value, 4) for key, value in figures.items()},
         "figures_n": unseen,
-        "note": note,
+        "note": "",
         "license": "BSD-3-Clause",
     }
-    write_text_atomically(path, json.dumps(card, indent=2) + "\n")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -475,7 +443,7 @@ def main(arguments: list[str] | None = None) -> None:
     console = Console()
     options.run_dir.mkdir(parents=True, exist_ok=True)
     with console.status("pre-training") as status:
-        weights = train_compact(
+        weights = train(
             options.run_dir,
             options.seed,
             options.minutes,

@@ -34,7 +34,7 @@ class _Mlp(nn.Module):
 
 
 class _Scale(nn.Module):
-    """One learned factor a channel on a residual branch (Touvron et al. 2021)."""
+    """One trained factor per channel on a residual branch (Touvron et al. 2021)."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()

@@ -1,18 +1,16 @@
-"""Reads weight files and says in one line what is wrong with one."""
+"""Reads weight files of several formats; errors say in one line what is wrong with a file."""
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
-from torch import nn
 
 from icub_core.errors import WeightsError
+from icub_core.weights import read_tensors
 
 SHIPPED = Path(__file__).resolve().parent.parent / "weights"
 
@@ -22,19 +20,20 @@ def shipped_names() -> list[str]:
     return sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
 
 
+def weights_file(name: str) -> Path:
+    """Return the file of shipped weights, or `name` itself where it is a path."""
+    return SHIPPED / f"{name}.safetensors" if name == Path(name).stem else Path(name)
+
+
 def read_safetensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-    """Read tensors and metadata of a safetensors file.
+    """Read tensors and header of a safetensors file.
 
     Raises:
-        WeightsError: When the file is missing, truncated or not safetensors.
+        WeightsError: When the file is missing, truncated or not safetensors; names the weights that are shipped.
     """
     if not path.is_file():
         raise WeightsError(f"no weight file {path}; shipped weights: {', '.join(shipped_names()) or 'none'}")
-    try:
-        with safe_open(path, framework="pt") as file:
-            return {key: file.get_tensor(key) for key in file.keys()}, file.metadata() or {}  # noqa: SIM118
-    except (OSError, SafetensorError, ValueError) as error:
-        raise WeightsError(f"{path} is truncated or not a safetensors file ({error})") from error
+    return read_tensors(path, WeightsError)
 
 
 def read_any(path: Path) -> dict[str, torch.Tensor]:
@@ -88,32 +87,3 @@ def _plain_pickle(path: Path) -> Any:
     if not isinstance(model, dict):
         return model
     return {k: torch.from_numpy(np.array(v)) if isinstance(v, np.ndarray) else v for k, v in model.items()}
-
-
-def fill(module: nn.Module, tensors: Mapping[str, torch.Tensor], origin: str) -> None:
-    """Copy tensors into a module; every parameter and statistic must be there in the right shape.
-
-    Args:
-        module: What is filled.
-        tensors: By the names of the module's state dictionary, any floating type.
-        origin: File or source, for the message.
-
-    Raises:
-        WeightsError: Naming the first missing, unknown or wrongly shaped tensor.
-    """
-    own = {k: v for k, v in module.state_dict().items() if not k.endswith("num_batches_tracked")}
-    given = {k: v for k, v in tensors.items() if not k.endswith("num_batches_tracked")}
-    for key, value in own.items():
-        if key not in given:
-            raise WeightsError(f"{origin} lacks '{key}' {tuple(value.shape)}: it is of another architecture")
-        if given[key].shape != value.shape:
-            raise WeightsError(
-                f"{origin}: '{key}' has shape {tuple(given[key].shape)}, expected {tuple(value.shape)}: "
-                "it is of another architecture"
-            )
-        if not torch.isfinite(given[key]).all():
-            raise WeightsError(f"{origin}: '{key}' holds NaN or infinite values")
-    surplus = sorted(given.keys() - own.keys())
-    if surplus:
-        raise WeightsError(f"{origin} holds '{surplus[0]}', which this architecture lacks")
-    module.load_state_dict({k: v.to(own[k].dtype) for k, v in given.items()}, strict=False)

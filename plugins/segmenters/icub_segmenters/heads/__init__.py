@@ -1,1 +1,1 @@
-"""On-line heads: classifiers and regressors that are trained in a moment."""
+"""On-line heads: classifiers and regressors that are trained in seconds."""

@@ -1,4 +1,4 @@
-"""What every head demands of its samples and targets."""
+"""Checks of samples and targets that all heads share."""
 
 from __future__ import annotations
 

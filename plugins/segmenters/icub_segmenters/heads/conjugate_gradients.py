@@ -77,7 +77,7 @@ def solve_by_conjugate_gradients(
     Y: torch.Tensor,
     centers: torch.Tensor,
     kernel: Kernel,
-    lam: float,
+    penalty: float,
     sample_weight: torch.Tensor | None = None,
 ) -> torch.Tensor:
     """Return alpha (M, t) of samples X (n, d), targets Y (n, t) and centers (M, d), in the centers' dtype."""
@@ -92,14 +92,14 @@ def solve_by_conjugate_gradients(
     wide = centers.double()
     T = cholesky_with_jitter(kernel(wide, wide), FIRST_JITTER).T  # upper, T^T T = K_MM
     inner = T @ T.T / M
-    inner.diagonal().add_(lam)
+    inner.diagonal().add_(penalty)
     A = cholesky_with_jitter(inner, FIRST_JITTER).T  # upper, A^T A = T T^T / M + lambda I
 
     def apply(beta: torch.Tensor) -> torch.Tensor:
         """Return A^-T (T^-T K^T K T^-1 / n + lambda I) A^-1 beta."""
         v = torch.linalg.solve_triangular(A, beta, upper=True)
         w = rows.normal_product(torch.linalg.solve_triangular(T, v, upper=True)) / n
-        w = torch.linalg.solve_triangular(T.T, w, upper=False) + lam * v
+        w = torch.linalg.solve_triangular(T.T, w, upper=False) + penalty * v
         return torch.linalg.solve_triangular(A.T, w, upper=False)
 
     residual = torch.linalg.solve_triangular(T.T, rows.transposed_product(Y) / n, upper=False)
@@ -129,5 +129,5 @@ def _conjugate_gradients(apply, right_side: torch.Tensor, tolerance: float) -> t
         fresh = (residual * residual).sum(dim=0)
         direction = residual + torch.where(active, fresh / square, 0.0) * direction
         square = torch.where(active, fresh, square)
-    log.warning("conjugate gradients stopped after %d iterations; is lambda too small?", MAX_ITERATIONS)
+    log.warning("conjugate gradients stopped after %d iterations; is the penalty too small?", MAX_ITERATIONS)
     return solution

@@ -11,9 +11,11 @@ from sklearn.base import BaseEstimator, ClassifierMixin, RegressorMixin
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
+from icub_core.renames import renamed
 from icub_segmenters.heads.falkon import Falkon
 
 
+@renamed(lam="penalty", centers="n_centers")
 class _FalkonEstimator(BaseEstimator):
     """Parameters and kernel machinery that regressor and classifier share."""
 
@@ -22,8 +24,8 @@ class _FalkonEstimator(BaseEstimator):
         *,
         kernel: str = "gaussian",
         sigma: float | None = None,
-        lam: float = 1e-5,
-        centers: int = 1000,
+        penalty: float = 1e-5,
+        n_centers: int = 1000,
         selection: str = "uniform",
         solver: str = "auto",
         random_state: int = 0,
@@ -35,8 +37,8 @@ class _FalkonEstimator(BaseEstimator):
             kernel: ``"gaussian"``, ``"laplacian"`` or ``"linear"``.
             sigma: Width of the kernel; None: the root of half the number of features times their variance, which is
                 scikit-learn's ``gamma="scale"``.
-            lam: Regularizer, multiplied by the number of samples.
-            centers: Number of Nystrom centers.
+            penalty: Regularizer lambda, multiplied by the number of samples.
+            n_centers: Number of Nystrom centers.
             selection: ``"uniform"`` or ``"balanced"``.
             solver: ``"auto"``, ``"direct"`` or ``"conjugate_gradients"``.
             random_state: Decides the centers.
@@ -44,8 +46,8 @@ class _FalkonEstimator(BaseEstimator):
         """
         self.kernel = kernel
         self.sigma = sigma
-        self.lam = lam
-        self.centers = centers
+        self.penalty = penalty
+        self.n_centers = n_centers
         self.selection = selection
         self.solver = solver
         self.random_state = random_state
@@ -65,8 +67,8 @@ class _FalkonEstimator(BaseEstimator):
         self.head_ = Falkon(
             kernel=self.kernel,
             sigma=width,
-            lam=self.lam,
-            centers=self.centers,
+            penalty=self.penalty,
+            n_centers=self.n_centers,
             selection=self.selection,
             solver=self.solver,
             seed=self.random_state,
@@ -74,7 +76,7 @@ class _FalkonEstimator(BaseEstimator):
         )
         weight = None if sample_weight is None else torch.as_tensor(sample_weight)
         # few samples are all centers: once each, so that repeating a sample equals doubling its weight
-        centers = torch.as_tensor(np.unique(X, axis=0)) if len(X) <= self.centers else None
+        centers = torch.as_tensor(np.unique(X, axis=0)) if len(X) <= self.n_centers else None
         self.head_.fit(torch.tensor(X), torch.as_tensor(Y), weight, centers)
 
     def _scores(self, X: ArrayLike) -> NDArray[Any]:

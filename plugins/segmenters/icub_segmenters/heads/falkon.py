@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import copy
+from typing import Self
+
 import torch
 
 from icub_core.errors import CheckpointError, ConfigError, DataError, NotFittedError, unknown_name
+from icub_core.interfaces.abilities import KernelSystem
 from icub_core.interfaces.online_head import OnlineHead
+from icub_core.renames import renamed
 from icub_segmenters.heads.centers import balanced_centers, check_selection, uniform_centers
 from icub_segmenters.heads.checks import check_samples, check_training_set
+from icub_segmenters.heads.clock import clocked
 from icub_segmenters.heads.conjugate_gradients import is_cheaper_than_direct, solve_by_conjugate_gradients
 from icub_segmenters.heads.kernels import make_kernel, squares
 from icub_segmenters.heads.nystrom import NystromSystem, row_blocks
@@ -16,8 +22,9 @@ from icub_segmenters.heads.products import fast_products
 SOLVERS = ("auto", "direct", "conjugate_gradients")
 
 
+@renamed(lam="penalty", centers="n_centers")
 class Falkon(OnlineHead):
-    """Kernel ridge regression on Nystrom centers, many problems in one solve.
+    """FALKON: kernel ridge regression on Nystrom centers, all classes in one solve.
 
     f(x) = sum_m alpha_m k(x, c_m) minimizes 1/n sum_i (f(x_i) - y_i)^2 + lambda |f|^2 over the span of the centers c_m.
 
@@ -32,8 +39,8 @@ class Falkon(OnlineHead):
         self,
         kernel: str = "gaussian",
         sigma: float = 15.0,
-        lam: float = 1e-5,
-        centers: int = 1000,
+        penalty: float = 1e-5,
+        n_centers: int = 1000,
         selection: str = "uniform",
         solver: str = "auto",
         seed: int = 0,
@@ -44,23 +51,23 @@ class Falkon(OnlineHead):
         Args:
             kernel: ``"gaussian"``, ``"laplacian"`` or ``"linear"``.
             sigma: Width of the kernel.
-            lam: Regularizer lambda; it is multiplied by the number of samples.
-            centers: Number M of Nystrom centers; all samples where there are fewer.
+            penalty: Regularizer lambda; it is multiplied by the number of samples.
+            n_centers: Number M of Nystrom centers; all samples where there are fewer.
             selection: ``"uniform"``, or ``"balanced"``: evenly over the classes and background (thesis 5.3).
             solver: ``"direct"`` (Cholesky), ``"conjugate_gradients"``, or ``"auto"``: what costs less.
             seed: Decides the centers.
             device: Where to compute, such as ``"cpu"`` or ``"cuda"``.
         """
-        if not lam > 0:
-            raise ConfigError(f"lam is {lam}; expected a regularizer above 0")
-        if centers < 1:
-            raise ConfigError(f"centers is {centers}; expected at least 1")
+        if not penalty > 0:
+            raise ConfigError(f"penalty is {penalty}; expected a regularizer above 0")
+        if n_centers < 1:
+            raise ConfigError(f"n_centers is {n_centers}; expected at least 1")
         if solver not in SOLVERS:
             raise ConfigError(unknown_name("solver", solver, SOLVERS))
         check_selection(selection)
         self.kernel = make_kernel(kernel, sigma)
-        self.lam = lam
-        self.number_of_centers = centers
+        self.penalty = penalty
+        self.n_centers = n_centers
         self.selection = selection
         self.solver = solver
         self.seed = seed
@@ -77,7 +84,7 @@ class Falkon(OnlineHead):
         sample_weight: torch.Tensor | None = None,
         centers: torch.Tensor | None = None,
     ) -> None:
-        """Train on X (n, d) and Y (n, t), forgetting what was before.
+        """Train on X (n, d) and Y (n, t) alone; an earlier fit has no influence.
 
         Args:
             X: Samples.
@@ -96,10 +103,10 @@ class Falkon(OnlineHead):
             if self._use_conjugate_gradients(len(X), len(centers), Y.shape[1]):
                 X, Y = X.to(self.device), Y.to(self.device)
                 weight = None if sample_weight is None else sample_weight.to(self.device)
-                alpha = solve_by_conjugate_gradients(X, Y, centers, self.kernel, self.lam, weight)
+                alpha = solve_by_conjugate_gradients(X, Y, centers, self.kernel, self.penalty, weight)
                 self._set(centers, alpha, None)
                 return
-            system = NystromSystem(centers, self.kernel, Y.shape[1])
+            system = NystromSystem(centers, self.kernel, Y.shape[1], self.penalty)
             system.add(X, Y.to(self.device), None if sample_weight is None else sample_weight.to(self.device))
             self.adopt(system)
 
@@ -107,13 +114,25 @@ class Falkon(OnlineHead):
         """Draw the indices of the centers among samples with targets Y (n, t)."""
         generator = torch.Generator().manual_seed(self.seed)
         if self.selection == "balanced":
-            return balanced_centers(Y.cpu(), self.number_of_centers, generator)
-        return uniform_centers(len(Y), self.number_of_centers, generator)
+            return balanced_centers(Y.cpu(), self.n_centers, generator)
+        return uniform_centers(len(Y), self.n_centers, generator)
 
-    def adopt(self, system: NystromSystem) -> None:
-        """Solve `system` and take over its solution: for callers that sum up the equations themselves."""
-        with fast_products(self.device):
-            self._set(system.centers, system.solve(self.lam), system)
+    def kernel_system(self, centers: torch.Tensor, problems: int) -> NystromSystem:
+        """Return the normal equations without samples, for centers (M, d) and `problems` targets."""
+        return NystromSystem(centers.to(self.device), self.kernel, problems, self.penalty)
+
+    def adopt(self, system: KernelSystem) -> None:
+        """Solve a system that `kernel_system` made and use its solution."""
+        if not isinstance(system, NystromSystem):
+            raise DataError(f"falkon got a {type(system).__name__}; expected a system that `kernel_system` made")
+        self._set(system.centers, system.solve(), system)
+
+    def with_at_most(self, centers: int) -> Self:
+        """Return an untrained head of the same configuration that chooses at most so many centers."""
+        head = copy.copy(self)
+        head.n_centers = min(self.n_centers, centers)
+        head.centers = head.alpha = head._center_squares = head._system = None
+        return head
 
     def partial_fit(self, X: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
         """Add samples X (n, d) to those fitted, centers unchanged; equals a fit on all of them with these centers.
@@ -168,6 +187,7 @@ class Falkon(OnlineHead):
             self._system.extend_centers(centers, X, Y.to(self.device))
         self.adopt(self._system)
 
+    @clocked
     def decision_function(self, X: torch.Tensor) -> torch.Tensor:
         """Return scores (n, t) of X (n, d), on X's device."""
         centers, alpha = self._fitted()
@@ -185,7 +205,7 @@ class Falkon(OnlineHead):
         return {"centers": centers.cpu(), "alpha": alpha.cpu()}
 
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
-        """Take over centers and coefficients."""
+        """Load centers and coefficients."""
         if set(state) != {"centers", "alpha"}:
             raise CheckpointError(f"falkon: the state has {sorted(state)}; expected ['alpha', 'centers']")
         centers, alpha = state["centers"], state["alpha"]

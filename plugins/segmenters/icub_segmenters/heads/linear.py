@@ -1,4 +1,4 @@
-"""A linear classifier trained by gradient descent on stored features: the cheap baseline of the kernel heads."""
+"""Linear classifiers trained by gradient descent on stored features: the baseline of the kernel heads."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import torch
 from torch.nn import functional
 
 from icub_core.errors import CheckpointError, ConfigError, NotFittedError, unknown_name
-from icub_core.interfaces.online_head import OnlineHead
+from icub_core.interfaces.online_head import OnlineHead, Score
 from icub_segmenters.heads.checks import check_samples, check_training_set
+from icub_segmenters.heads.clock import clocked
 from icub_segmenters.heads.products import fast_products
 
 LOSSES = ("softmax", "logistic")
@@ -15,10 +16,10 @@ OPTIMIZERS = ("adam", "lbfgs")
 
 
 class Linear(OnlineHead):
-    """Softmax over the problems and background, or one logistic regression a problem.
+    """Linear classifiers: softmax over all classes and background, or one logistic regression per class.
 
     With ``"softmax"`` a sample belongs to its first positive column, or to background where it has none; the score of
-    a column is its logit minus the background's, so that 0 means undecided, as with +1 and -1 targets.
+    a column is its logit minus the background's.
 
     Source: the output layer of Mask R-CNN, fine-tuned alone on frozen features (thesis 10.4, "output layers").
     """
@@ -58,6 +59,11 @@ class Linear(OnlineHead):
         self.device = torch.device(device)
         self.weight: torch.Tensor | None = None
         self.bias: torch.Tensor | None = None
+
+    @property
+    def score(self) -> Score:
+        """Scores are log odds."""
+        return "log_odds"
 
     def fit(self, X: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
         """Train on X (n, d) and Y (n, t) from zero weights."""
@@ -118,6 +124,7 @@ class Linear(OnlineHead):
 
         optimizer.step(closure)
 
+    @clocked
     def decision_function(self, X: torch.Tensor) -> torch.Tensor:
         """Return scores (n, t) of X (n, d): log odds against background, or against "not this class"."""
         if self.weight is None or self.bias is None:
@@ -133,7 +140,7 @@ class Linear(OnlineHead):
         return {"weight": self.weight.cpu(), "bias": self.bias.cpu()}
 
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
-        """Take over weight and bias."""
+        """Load weight and bias."""
         if set(state) != {"weight", "bias"}:
             raise CheckpointError(f"linear: the state has {sorted(state)}; expected ['bias', 'weight']")
         weight, bias = state["weight"], state["bias"]

@@ -12,6 +12,7 @@ import torch
 
 from icub_core.errors import DataError
 from icub_segmenters.heads.kernels import Kernel, squares
+from icub_segmenters.heads.products import fast_products
 
 BLOCK_BYTES = 32 * 2**20
 """Size of one block of kernel rows; larger blocks leave the caches without being faster."""
@@ -31,7 +32,7 @@ def row_blocks(n: int, width: int, itemsize: int) -> Iterator[slice]:
 
 
 def add_gram(total: torch.Tensor, K: torch.Tensor) -> None:
-    """Add K^T K to the lower triangle of `total` (m, m) float64, for K (n, m); the rest of it means nothing."""
+    """Add K^T K to the lower triangle of `total` (m, m) float64, for K (n, m); the rest of it stays undefined."""
     m = K.shape[1]
     edges = [round(i * m / PANELS) for i in range(PANELS + 1)]
     for start, stop in zip(edges[:-1], edges[1:], strict=True):
@@ -47,7 +48,7 @@ def cholesky_with_jitter(A: torch.Tensor, first: float) -> torch.Tensor:
         Lower triangular L with L L^T = A + jitter I.
 
     Raises:
-        DataError: When even LARGEST_JITTER does not help.
+        DataError: When even MAX_JITTER does not help.
     """
     scale = float(A.diagonal().mean())
     relative, added = first, 0.0
@@ -70,25 +71,26 @@ class NystromSystem:
     factor of 50 on realistic features, at the price of one subtraction.
     """
 
-    def __init__(self, centers: torch.Tensor, kernel: Kernel, problems: int) -> None:
+    def __init__(self, centers: torch.Tensor, kernel: Kernel, problems: int, penalty: float) -> None:
         """Start with no samples.
 
         Args:
             centers: (M, d) float32 or float64; decides the precision of the kernel rows.
             kernel: Evaluated between samples and centers.
             problems: Number of targets (t).
+            penalty: Regularizer lambda.
         """
-        self.kernel = kernel
+        self.kernel, self.penalty = kernel, penalty
         self._set_centers(centers)
         M = len(centers)
         self.offset: torch.Tensor | None = None  # (M,), subtracted from the columns of K
-        # of the shifted columns, as are the next two
-        # the upper triangle means nothing
+        # these sums are of the shifted columns; only the lower triangle of `gram` is valid
         self.gram = torch.zeros(M, M, dtype=torch.float64, device=centers.device)
         self.right_side = self.gram.new_zeros(M, problems)
         self.row_sum = self.gram.new_zeros(M)
         self.target_sum = self.gram.new_zeros(problems)
         self.weight = 0.0
+        self._solution: torch.Tensor | None = None  # of the samples so far
 
     @property
     def problems(self) -> int:
@@ -97,10 +99,16 @@ class NystromSystem:
 
     def rows(self, X: torch.Tensor, out: torch.Tensor | None = None) -> torch.Tensor:
         """Return kernel rows K(X, centers) (n, M), written to `out` if it is given."""
-        return self.kernel(X.to(self.centers), self.centers, self.center_squares, out)
+        with fast_products(self.centers.device):
+            return self.kernel(X.to(self.centers), self.centers, self.center_squares, out)
+
+    def scores(self, K: torch.Tensor) -> torch.Tensor:
+        """Return the scores (n, t) of samples with kernel rows K (n, M), from all samples added so far."""
+        with fast_products(self.centers.device):
+            return K @ self.solve()
 
     def add(self, X: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
-        """Take in samples X (n, d) with targets Y (n, t), in blocks."""
+        """Add samples X (n, d) with targets Y (n, t), in blocks."""
         buffer = None
         for block in row_blocks(len(X), len(self.centers), self.centers.element_size()):
             count = block.stop - block.start
@@ -110,28 +118,31 @@ class NystromSystem:
             self.add_rows(self.rows(X[block], buffer[:count]), Y[block], weight)
 
     def add_rows(self, K: torch.Tensor, Y: torch.Tensor, sample_weight: torch.Tensor | None = None) -> None:
-        """Take in samples whose kernel rows K (n, M) are known; K is used up as working memory."""
+        """Add samples whose kernel rows K (n, M) are known; K is overwritten."""
         if len(K) == 0:
             return
-        if self.offset is None:
-            self.offset = K.mean(dim=0)
-        shifted, Y = K.sub_(self.offset), Y.to(K)
-        if sample_weight is None:
-            self.row_sum += shifted.sum(dim=0)
-            self.target_sum += Y.sum(dim=0)
-            self.weight += float(len(K))
-        else:
-            root = sample_weight.to(K).sqrt().unsqueeze(1)
-            shifted *= root
-            Y = Y * root
-            self.row_sum += (shifted * root).sum(dim=0)
-            self.target_sum += (Y * root).sum(dim=0)
-            self.weight += float(sample_weight.sum())
-        add_gram(self.gram, shifted)
-        self.right_side += shifted.T @ Y
+        self._solution = None
+        with fast_products(self.centers.device):
+            if self.offset is None:
+                self.offset = K.mean(dim=0)
+            shifted, Y = K.sub_(self.offset), Y.to(K)
+            if sample_weight is None:
+                self.row_sum += shifted.sum(dim=0)
+                self.target_sum += Y.sum(dim=0)
+                self.weight += float(len(K))
+            else:
+                root = sample_weight.to(K).sqrt().unsqueeze(1)
+                shifted *= root
+                Y = Y * root
+                self.row_sum += (shifted * root).sum(dim=0)
+                self.target_sum += (Y * root).sum(dim=0)
+                self.weight += float(sample_weight.sum())
+            add_gram(self.gram, shifted)
+            self.right_side += shifted.T @ Y
 
     def add_problems(self, count: int) -> None:
         """Append `count` problems of which every sample so far is a negative (target -1)."""
+        self._solution = None
         self.right_side = torch.cat([self.right_side, -self.row_sum.unsqueeze(1).expand(-1, count)], dim=1)
         self.target_sum = torch.cat([self.target_sum, self.target_sum.new_full((count,), -self.weight)])
 
@@ -140,6 +151,7 @@ class NystromSystem:
 
         Only the new columns of the Gram matrix are computed: n m (M + m) products instead of n (M + m)^2.
         """
+        self._solution = None
         M, m = len(self.centers), len(centers)
         old_centers, old_squares, old_offset = self.centers, self.center_squares, self.offset
         old_gram, old_right_side, old_row_sum = self.gram, self.right_side, self.row_sum
@@ -166,9 +178,15 @@ class NystromSystem:
         if old_offset is not None and fresh_offset is not None:
             self.offset = torch.cat([old_offset, fresh_offset])
 
-    def solve(self, lam: float) -> torch.Tensor:
+    def solve(self) -> torch.Tensor:
         """Return alpha (M, t) in the centers' dtype: one Cholesky factorization in float64 for all problems."""
-        H = torch.add(self.gram, self.K_MM, alpha=lam * self.weight)
+        if self._solution is None:
+            with torch.no_grad():
+                self._solution = self._solved()
+        return self._solution
+
+    def _solved(self) -> torch.Tensor:
+        H = torch.add(self.gram, self.K_MM, alpha=self.penalty * self.weight)
         B = self.right_side
         if self.offset is not None:  # undo the shift: K = shifted + 1 offset^T
             offset = self.offset.double()

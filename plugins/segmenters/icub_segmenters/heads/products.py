@@ -1,4 +1,4 @@
-"""Float32 matrix products at the machine's best rate.
+"""Float32 matrix products by the fastest library on the machine.
 
 On AMD processors the MKL that torch ships takes its slower AVX2 path and reaches less than half of what oneDNN does at
 the same accuracy. The only public way to oneDNN is torch's matmul precision "medium", which also allows bfloat16 on

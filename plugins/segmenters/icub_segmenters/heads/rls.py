@@ -6,15 +6,18 @@ import torch
 
 from icub_core.errors import CheckpointError, ConfigError, NotFittedError
 from icub_core.interfaces.online_head import OnlineHead
+from icub_core.renames import renamed
 from icub_segmenters.heads.checks import check_samples, check_training_set
+from icub_segmenters.heads.clock import clocked
 from icub_segmenters.heads.nystrom import cholesky_with_jitter
 
 WHITENING_FLOOR = 1e-3
 """Added to the eigenvalues of the targets' covariance, as R-CNN does: tiny variances are not blown up."""
 
 
+@renamed(lam="penalty")
 class Rls(OnlineHead):
-    """Ridge regression of all targets with one factorization, in float64.
+    """Regularized least squares (ridge regression) of all targets with one factorization, in float64.
 
     Targets are centered and, if wanted, whitened by W (D + 0.001)^(-1/2) W^T; a column of ones is appended to the
     samples and regularized like the others; (X^T X + lambda I) is not scaled by n.
@@ -22,18 +25,18 @@ class Rls(OnlineHead):
     Source: thesis 11.3.2, which takes it from R-CNN (Girshick et al., 2014); details as in the released code.
     """
 
-    def __init__(self, lam: float = 1000.0, whiten: bool = True, device: str = "cpu") -> None:
+    def __init__(self, penalty: float = 1000.0, whiten: bool = True, device: str = "cpu") -> None:
         """Configure; nothing is computed.
 
         Args:
-            lam: Regularizer, not multiplied by the number of samples: 1000 suits raw features of the thesis's
-                detector, 0.01 to 10 features scaled to norm 20.
+            penalty: Regularizer lambda, not multiplied by the number of samples: 1000 suits raw features of the
+                thesis's detector, 0.01 to 10 features scaled to norm 20.
             whiten: Decorrelate the targets first.
             device: Where to compute.
         """
-        if not lam > 0:
-            raise ConfigError(f"lam is {lam}; expected a regularizer above 0")
-        self.lam = lam
+        if not penalty > 0:
+            raise ConfigError(f"penalty is {penalty}; expected a regularizer above 0")
+        self.penalty = penalty
         self.whiten = whiten
         self.device = torch.device(device)
         self.weight: torch.Tensor | None = None
@@ -51,12 +54,13 @@ class Rls(OnlineHead):
             mean = (weight * targets).sum(dim=0) / weight.sum()
             centered = targets - mean
             whitener = self._whitener(centered, weight)
-            solution = _ridge(weight.sqrt() * wide, weight.sqrt() * (centered @ whitener), self.lam)
+            solution = _ridge(weight.sqrt() * wide, weight.sqrt() * (centered @ whitener), self.penalty)
             solution = solution @ torch.linalg.inv(whitener)  # back to the targets' own coordinates
         # float64 is for the algebra; scoring is float32 as the features are
         self.weight = solution[:-1].to(X.dtype)
         self.bias = (solution[-1] + mean).to(X.dtype)
 
+    @clocked
     def decision_function(self, X: torch.Tensor) -> torch.Tensor:
         """Return predicted targets (n, t) of X (n, d)."""
         if self.weight is None or self.bias is None:
@@ -71,7 +75,7 @@ class Rls(OnlineHead):
         return {"weight": self.weight.cpu(), "bias": self.bias.cpu()}
 
     def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
-        """Take over weight and bias."""
+        """Load weight and bias."""
         if set(state) != {"weight", "bias"}:
             raise CheckpointError(f"rls: the state has {sorted(state)}; expected ['bias', 'weight']")
         weight, bias = state["weight"], state["bias"]
@@ -90,10 +94,10 @@ class Rls(OnlineHead):
         return vectors @ torch.diag((values.clamp(min=0) + WHITENING_FLOOR).rsqrt()) @ vectors.T
 
 
-def _ridge(A: torch.Tensor, B: torch.Tensor, lam: float) -> torch.Tensor:
-    """Return argmin |A W - B|^2 + lam |W|^2 (d, t) by the smaller of the two Gram matrices, A^T A or A A^T."""
+def _ridge(A: torch.Tensor, B: torch.Tensor, penalty: float) -> torch.Tensor:
+    """Return argmin |A W - B|^2 + penalty |W|^2 (d, t) by the smaller of the two Gram matrices, A^T A or A A^T."""
     few = len(A) < A.shape[1]
     gram = A @ A.T if few else A.T @ A
-    gram.diagonal().add_(lam)
+    gram.diagonal().add_(penalty)
     L = cholesky_with_jitter(gram, 1e-14)
     return A.T @ torch.cholesky_solve(B, L) if few else torch.cholesky_solve(A.T @ B, L)

@@ -298,7 +298,7 @@ class GraspingTask(Task):
         """Return the simulator of one world."""
         return self.worlds[world].simulator
 
-    def state_dict(self) -> dict[str, torch.Tensor]:  # type: ignore[override]
+    def state_dict(self) -> dict[str, torch.Tensor]:
         """Return everything that decides the future: worlds, episodes, starts, random numbers."""
         arrays: dict[str, np.ndarray] = {f"batch.{k}": v for k, v in self.batch.state_dict().items()}
         for world, pool in enumerate(self.pools):
@@ -310,7 +310,7 @@ class GraspingTask(Task):
             tensors["visual"] = self._visual.state_dict()
         return tensors
 
-    def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:  # type: ignore[override]
+    def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:
         """Restore what `state_dict` returned, in a task of the same worlds."""
         worlds = sum(name.startswith("pool_text.") for name in state)
         if worlds != len(self.batch) or ("visual" in state) != (self._visual is not None):
