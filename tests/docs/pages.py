@@ -1,5 +1,7 @@
 """README and docs, taken apart: blocks, commands, inline code."""
 
+import functools
+import json
 import re
 import shlex
 from collections.abc import Iterator
@@ -10,9 +12,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
-EXAMPLE = {"top_down"}
-"""Plugins of examples/third_party_plugin; a test of the framework installs and runs it."""
-_BLOCK = re.compile(r"(?:^<!-- not executed: (?P<reason>[^\n]*?) -->\n)?^```(?P<language>\w*)\n(?P<body>.*?)^```", re.M | re.S)
+EXAMPLE = {"top_down", "hold"}
+"""Plugins of examples/third_party_plugin (a test of the framework installs and runs it) and of writing_plugins.md."""
+_BLOCK = re.compile(
+    r"(?:^<!-- not executed: (?P<reason>[^\n]*?) -->\n)?^```(?P<language>\w*)\n(?P<body>.*?)^```", re.M | re.S
+)
 
 
 @dataclass(frozen=True)
@@ -70,3 +74,10 @@ def section(page: Path, name: str) -> str:
     match = re.search(rf"<!-- {name}:begin -->\n(.*?)<!-- {name}:end -->", read(page), re.S)
     assert match, f"{page.name} lacks the marks <!-- {name}:begin --> and <!-- {name}:end -->"
     return match[1]
+
+
+@functools.cache
+def figures() -> frozenset[str]:
+    """Return the keys of all figures in benchmarks/results."""
+    files = (ROOT / "benchmarks" / "results").glob("*.json")
+    return frozenset(key for file in files for key in json.loads(file.read_text(encoding="utf-8"))["figures"])

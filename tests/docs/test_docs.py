@@ -2,6 +2,7 @@
 
 import json
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from icub_core.commands.train import trainer, trainings
 from icub_core.config.compose import compose
 from icub_core.hooks import EVENTS
 from icub_core.kinds import KINDS
-from tests.docs.pages import EXAMPLE, PAGES, ROOT, blocks, of, pages, read, section
+from tests.docs.pages import EXAMPLE, PAGES, ROOT, blocks, figures, of, pages, read, section
 
 REPRODUCE = ROOT / "docs" / "reproduce.md"
 RUNNING = ROOT / "docs" / "running.md"
@@ -135,13 +136,10 @@ def test_reproduce_lists_exactly_the_benchmarks():
 @pytest.mark.parametrize("page", pages())
 def test_figures_that_are_named_exist(page):
     """A quoted key stands in benchmarks/results."""
-    known: set[str] = set()
-    for file in (ROOT / "benchmarks" / "results").glob("*.json"):
-        known |= set(json.loads(file.read_text(encoding="utf-8"))["figures"])
-    areas = {key.partition(".")[0] for key in known} - set(KINDS)
+    areas = {key.partition(".")[0] for key in figures()} - set(KINDS)
     for key in re.findall(r"`(\w+\.[a-z0-9_]+)`", read(page)):
         if key.partition(".")[0] in areas and not key.endswith((".json", ".log", ".gif", ".md", ".png")):
-            assert key in known, f"{page.name} quotes {key}, which no result holds"
+            assert key in figures(), f"{page.name} quotes {key}, which no result holds"
 
 
 def test_events_are_all_listed():
@@ -159,8 +157,6 @@ def test_every_plugin_is_mentioned(kind):
 
 @pytest.mark.parametrize("page", pages())
 def test_toml_and_json_blocks_parse(page):
-    import tomllib
-
     for block in blocks(page, "toml"):
         tomllib.loads(block.text)
     for block in blocks(page, "json"):
