@@ -60,7 +60,8 @@ def commands() -> Iterator[tuple[Path, tuple[str, ...]]]:
 def of(tool: str) -> list:
     """Return the commands that begin with `tool`, each once, as pytest parameters."""
     first = tool.split()
-    found = {words: page for page, words in commands() if list(words[: len(first)]) == first}
+    fitting = ((page, words) for page, words in commands() if list(words[: len(first)]) == first)
+    found = {words: page for page, words in fitting if len(words) > len(first)}
     return [pytest.param(words, id=f"{page.name}: {' '.join(words)}") for words, page in found.items()]
 
 

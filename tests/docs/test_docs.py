@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from tests.docs.pages import EXAMPLE, PAGES, ROOT, blocks, figures, of, pages, read, section
 
 from icub_core import registry
 from icub_core.commands.benchmark import benchmarks
@@ -13,7 +14,6 @@ from icub_core.commands.train import trainer, trainings
 from icub_core.config.compose import compose
 from icub_core.hooks import EVENTS
 from icub_core.kinds import KINDS
-from tests.docs.pages import EXAMPLE, PAGES, ROOT, blocks, figures, of, pages, read, section
 
 REPRODUCE = ROOT / "docs" / "reproduce.md"
 RUNNING = ROOT / "docs" / "running.md"

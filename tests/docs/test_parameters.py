@@ -6,6 +6,7 @@ import typing
 
 import pytest
 import yaml
+from tests.docs.pages import EXAMPLE, figures, inline_code, pages
 
 from icub_core import registry
 from icub_core.config.folders import groups
@@ -14,7 +15,6 @@ from icub_core.config.settings import RunSettings, SceneSettings
 from icub_core.construct import checked_parameters
 from icub_core.errors import ConfigError
 from icub_core.kinds import KINDS
-from tests.docs.pages import EXAMPLE, figures, inline_code, pages
 
 _ASSIGNMENT = re.compile(r"[+~]*(?P<key>[a-z]\w*(?:\.\w+)*)=(?P<value>\S+)")
 _PARAMETER = re.compile(rf"(?:{'|'.join(KINDS)})(?:\.[a-z]\w*)+")

@@ -4,9 +4,10 @@ import importlib
 import re
 import tomllib
 
+from tests.docs.pages import ROOT, read, section
+
 import icub_core
 from icub_core.kinds import KINDS
-from tests.docs.pages import ROOT, read, section
 
 PAGE = ROOT / "docs" / "public_api.md"
 

@@ -5,7 +5,6 @@ import types
 
 import pytest
 import torch
-
 from tests.docs.pages import PAGES, blocks, pages
 
 SLOW = {"README.md", "grasping.md", "perception.md"}
