@@ -27,6 +27,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from icub_tasks.grasping.env import GraspEnv
 from rich.console import Console
 from rich.progress import track
 
@@ -34,7 +35,6 @@ from icub_core.construct import build
 from icub_core.evaluation.results import Figure, write_results
 from icub_core.scene import Scene
 from icub_core.workers import Workers
-from icub_tasks.grasping.env import GraspEnv
 from icub_tasks.grasping.task import GraspTask, StartState
 
 RESULTS = Path(__file__).resolve().parent / "results" / "simulation.json"

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from icub_tasks.grasping.env import GraspEnv
 from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 
@@ -33,7 +34,6 @@ from icub_core.files import write_text_atomically
 from icub_core.interfaces.policy import LearnReport, Policy
 from icub_core.rollouts import EpisodeResults, merge, paired_gain, run_episodes
 from icub_core.scene import Scene
-from icub_tasks.grasping.env import GraspEnv
 from icub_tasks.grasping.task import GraspTask, StartState
 
 RESULTS = Path(__file__).resolve().parent / "results" / "grasping.json"

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from icub_tasks.grasping.env import GraspEnv
 
 from icub_core.construct import build
 from icub_core.errors import ConfigError
@@ -21,7 +22,6 @@ from icub_core.interfaces.policy import Policy, Progress
 from icub_core.rollouts import EpisodeResults, evaluate, merge
 from icub_core.scene import Scene
 from icub_core.workers import Workers
-from icub_tasks.grasping.env import GraspEnv
 from icub_tasks.grasping.task import GraspTask, TaskSettings
 from icub_tasks.grasping.termination import EndReason
 

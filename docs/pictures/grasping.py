@@ -131,8 +131,9 @@ def grasps() -> None:
 
 def grasp() -> None:
     """A scripted grasp in six images."""
-    from icub_core.rollouts import evaluate
     from icub_tasks.grasping.env import GraspEnv
+
+    from icub_core.rollouts import evaluate
     from icub_tasks.grasping.task import CONTROL_STEP, GraspTask
 
     (item,) = ycb("006_mustard_bottle")

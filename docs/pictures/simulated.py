@@ -33,14 +33,14 @@ def hands() -> None:
         simulator.reset()
         targets = A @ description.home_q + b
         for side in ("right", "left"):
-            for name in description.hand(side).actuators:
+            for name in description.hand_actuators[side]:
                 (i,) = description.actuator_indices((name,))
                 targets[i] = getattr(description.actuators[i], state)
         simulator.set_targets(targets)
         simulator.step(400)
         row = []
         for side, sign in (("right", 1.0), ("left", -1.0)):
-            T = simulator.link_pose(description.hand(side).frame)
+            T = simulator.link_pose(description.hand_frames[side])
             middle = T[:3, 3] + 0.02 * T[:3, 0] + sign * 0.02 * T[:3, 2]
             eye = middle + sign * 0.26 * T[:3, 2] + 0.10 * T[:3, 0] - 0.16 * T[:3, 1]
             x, y, z = (middle - eye + [0.0, 0.15, -0.1]).tolist()
@@ -86,11 +86,13 @@ def cameras() -> None:
 
 
 def objects() -> None:
-    """The eight YCB primitives, and random objects resized for the hand."""
+    """The eight YCB primitives, household things, and random objects resized for the hand."""
     random = build("objects", {"plugin": "random1000", "graspable": True})
+    household = build("objects", "household")
     lamp = Light(direction=(-0.5, -0.5, -1.0), diffuse=(0.6, 0.6, 0.6), ambient=(0.42, 0.42, 0.42))
     for name, items in (
         ("objects_ycb_primitives", ycb()),
+        ("objects_household", [household.get(n) for n in household.names[5::18]]),
         ("objects_random1000", [random.get(n) for n in random.names[:96:12]]),
     ):
         simulator = build("simulator", "mujoco")

@@ -137,6 +137,7 @@ def test_configuration_names_plugins_and_never_code(tiny):
         (["scene.timstep=1"], "'scene' has no key 'timstep'. Did you mean 'timestep'?"),
         (["scene.timestep=x"], "scene.timestep: Value 'x' of type 'str' could not be converted to Float"),
         (["pipeline.teach.frames=x"], "pipeline.teach.frames: Value 'x'"),
+        (["dataset=tiny"], "dataset=tiny is set, but nothing in this run reads a data set; leave it out"),
         (["budget=enormous"], "no budget configuration named 'enormous'. Known: laptop, paper"),
         (["seed=1,2"], "add -m"),
         (["device=${nothing}"], "nothing"),
@@ -147,6 +148,16 @@ def test_mistakes_stop_in_one_line(tiny, words, message):
         compose([*TINY_WORLD, *words])
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_data_set_may_be_chosen_where_a_plugin_reads_it(tiny, install):
+    source = """
+from icub_testing.tiny.skills import TinyPolicy
+class Reads(TinyPolicy):
+    def __init__(self, dataset=None): ...
+"""
+    install("reader", {"icub.policy": {"reads": "reads_data:Reads"}}, {"reads_data.py": source})
+    assert compose([*TINY_WORLD, "policy=reads", "dataset=tiny"]).dataset.plugin == "tiny"
 
 
 def test_a_broken_plugin_stops_only_runs_that_choose_it(tiny, install):

@@ -62,6 +62,7 @@ class TestResNet50C4(FeatureExtractorContract):
         return lambda: ResNet50C4(str(c4_file), shorter_side=120, proposals=50)
 
 
+@pytest.mark.pybullet
 class TestFeatureTask(DatasetContract):
     @pytest.fixture
     def make_plugin(self, tmp_path, monkeypatch):
@@ -79,6 +80,7 @@ class TestFeatureTask(DatasetContract):
         return lambda: FeatureTask(tmp_path, frames=6)
 
 
+@pytest.mark.pybullet
 def test_class_names_are_in_the_order_of_labels():
     names = FeatureTask().classes
     assert len(set(names)) == len(names) == FeatureTask().label_count

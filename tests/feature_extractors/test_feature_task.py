@@ -42,11 +42,13 @@ def objects():
     return feature_task_objects()
 
 
+@pytest.mark.pybullet
 def test_at_least_eighty_meshes_and_unique_names(objects):
     assert sum(item.parts[0].mesh is not None for item in objects) >= 80
     assert len({item.name for item in objects}) == len(objects) == FeatureTask().label_count
 
 
+@pytest.mark.pybullet
 def test_sizes_are_those_of_table_top_objects(objects):
     longest = np.array([item.extents.max() for item in objects])
     assert longest.min() > 0.04
@@ -56,6 +58,7 @@ def test_sizes_are_those_of_table_top_objects(objects):
     assert meshes.max() <= 0.20 + 1e-9
 
 
+@pytest.mark.pybullet
 def test_no_class_has_the_size_of_an_object_that_is_taught_later(objects):
     for item in objects:
         mine = np.sort(item.extents)
@@ -70,6 +73,7 @@ def test_a_ycb_sized_box_is_recognized_in_any_orientation(name, order, scale):
     assert resembles_ycb(size) is not None
 
 
+@pytest.mark.pybullet
 def test_objects_of_a_seed_are_always_the_same(objects):
     again = feature_task_objects()
     assert [item.name for item in again] == [item.name for item in objects]
@@ -101,6 +105,7 @@ def test_textures_have_the_promised_shape_and_depend_on_the_seed_only():
         assert not np.array_equal(first, other)
 
 
+@pytest.mark.pybullet
 def test_a_frame_depends_on_its_seed_only(renderer):
     first = renderer.render([1, 2, 3])
     renderer.render([4])  # leaves other poses, lamps and materials behind
@@ -109,6 +114,7 @@ def test_a_frame_depends_on_its_seed_only(renderer):
     assert np.array_equal(first.instances, again.instances)
 
 
+@pytest.mark.pybullet
 def test_masks_are_exactly_the_pixels_of_the_objects(renderer):
     """Hiding an object's geometry changes the segmentation inside its mask only, and removes it there."""
     image = frame_with_objects(renderer)
@@ -130,6 +136,7 @@ def test_masks_are_exactly_the_pixels_of_the_objects(renderer):
         assert np.array_equal(classes[kept], known[kept])
 
 
+@pytest.mark.pybullet
 def test_object_colors_appear_where_the_mask_says(renderer):
     """With all lamps' shadows gone, hiding an object changes colors inside its mask and little elsewhere."""
     image = frame_with_objects(renderer)
@@ -153,6 +160,7 @@ def test_object_colors_appear_where_the_mask_says(renderer):
     assert not (changed & ~binary_dilation(inside, iterations=2)).any()
 
 
+@pytest.mark.pybullet
 def test_frames_show_objects_at_many_sizes(renderer):
     areas = np.concatenate([np.bincount(renderer.render([7, s]).instances.ravel())[1:] for s in range(15)])
     assert len(areas) > 20
@@ -165,6 +173,7 @@ def pictures(renderer):
     return [frame_with_objects(renderer), frame_with_objects(renderer, 100)]
 
 
+@pytest.mark.pybullet
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**31))
 def test_augmentation_keeps_labels_and_masks_together(pictures, seed):
@@ -243,6 +252,7 @@ def test_unknown_split_and_empty_set_are_refused():
         FeatureTask(frames=0)
 
 
+@pytest.mark.pybullet
 @pytest.mark.slow
 def test_generation_resumes_and_both_splits_differ(tmp_path):
     task = FeatureTask(tmp_path, frames=200)

@@ -210,6 +210,7 @@ def test_random_shapes_are_as_large_and_heavy_as_household_things(number):
     np.testing.assert_allclose(reach, half, atol=1e-9)  # the stated box surrounds it, and no larger one
 
 
+@pytest.mark.pybullet
 def test_trial_objects_are_half_known_half_shapes_and_weigh_by_their_size():
     objects = TrialObjects()
     numbers = objects.draw(np.random.default_rng(0), 5)

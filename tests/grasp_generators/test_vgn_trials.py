@@ -257,6 +257,7 @@ def test_the_largest_opening_is_recorded_for_what_failed(world):
     assert world.grasp(from_above(0.0)).width == MAX_WIDTH
 
 
+@pytest.mark.pybullet
 @pytest.mark.slow
 def test_trials_with_the_robot_s_hand(monkeypatch):
     """Poses are tried with the task's own script; some hold, some do not, and all start around the object."""
@@ -279,6 +280,7 @@ def test_trials_with_the_robot_s_hand(monkeypatch):
     assert 0 < held.sum() < len(held)
 
 
+@pytest.mark.pybullet
 def test_a_batch_of_gripper_trials_is_decided_by_its_number(monkeypatch):
     from icub_grasp_generators.vgn import gripper_trials
 

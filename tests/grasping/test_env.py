@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
+from icub_tasks.grasping.env import GraspEnv
+from icub_tasks.grasping.gym_adapter import GymGraspEnv
 from torchrl.envs.utils import check_env_specs
 
 from icub_core.errors import ConfigError, SimulationError
@@ -14,8 +16,6 @@ from icub_core.interfaces.policy import Policy
 from icub_core.interfaces.simulator import Fault
 from icub_core.rollouts import evaluate
 from icub_policies.demonstrations import Demonstrations
-from icub_tasks.grasping.env import GraspEnv
-from icub_tasks.grasping.gym_adapter import GymGraspEnv
 from icub_tasks.grasping.spaces import ACTION_SIZE, OBSERVATION_SIZES
 from icub_tasks.grasping.task import GraspTask
 from icub_tasks.grasping.termination import EndReason

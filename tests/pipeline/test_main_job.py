@@ -47,6 +47,7 @@ def test_a_scripted_grasp_with_ground_truth_masks(tmp_path):
     assert (run_dir / "run.log").exists()
 
 
+@pytest.mark.pybullet
 @pytest.mark.slow
 def test_a_folder_of_meshes_is_grasped_without_naming_anything_else(tmp_path):
     trimesh.creation.cylinder(0.03, 0.11).export(tmp_path / "tin.stl")

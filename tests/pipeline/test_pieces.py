@@ -5,6 +5,7 @@ import numpy as np
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from icub_pipelines.context import RunContext
 from tensordict import TensorDict
 
 from icub_core.appearance import random_lights, random_surface
@@ -12,7 +13,6 @@ from icub_core.data import Instance
 from icub_core.geometry import is_rigid
 from icub_core.hooks import Events, listen
 from icub_core.scene import Geom, ObjectSpec
-from icub_pipelines.context import RunContext
 from icub_pipelines.grasping import Announcer
 from icub_pipelines.images import contact_sheet, draw_instances, save_animation, save_picture
 from icub_pipelines.report import write_report

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from icub_tasks.grasping.env import GraspEnv
 
 from icub_core.construct import build
 from icub_core.scene import Scene
 from icub_policies.gpayn import Gpayn
-from icub_tasks.grasping.env import GraspEnv
 from icub_tasks.grasping.task import GraspTask, TaskSettings
 
 

@@ -10,12 +10,12 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from icub_policies.features import PROPRIOCEPTIVE_SIZE, features
 from tensordict import TensorDict
 
 from icub_core.errors import CheckpointError, ConfigError, WeightsError
 from icub_policies import checkpoint
 from icub_policies.demonstrations import Demonstrations
-from icub_policies.features import PROPRIOCEPTIVE_SIZE, features
 from icub_policies.gpayn import Gpayn
 from icub_policies.resprect import Resprect
 from icub_tasks.grasping.spaces import OBSERVATION_SIZES, PLAN, PLAN_SIZE

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from icub_tasks.grasping.env import GraspEnv
 
 from icub_core.construct import build
 from icub_core.rollouts import evaluate
 from icub_core.scene import Scene
 from icub_policies.demonstrations import Demonstrations
 from icub_policies.gpayn import Gpayn
-from icub_tasks.grasping.env import GraspEnv
 from icub_tasks.grasping.task import GraspTask
 
 pytestmark = pytest.mark.slow

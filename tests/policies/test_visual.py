@@ -9,16 +9,16 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from icub_policies.features import PROPRIOCEPTIVE_SIZE, STACK, features
+from icub_policies.visual import seeing
+from icub_tasks.grasping.env import GraspEnv
 from tensordict import TensorDict
 
 from icub_core.construct import build
 from icub_core.errors import ConfigError
-from icub_policies.features import PROPRIOCEPTIVE_SIZE, STACK, features
 from icub_policies.gpayn import Gpayn
 from icub_policies.replay import CUT, RUNNING, TERMINAL, Replay
 from icub_policies.resprect import Resprect
-from icub_policies.visual import seeing
-from icub_tasks.grasping.env import GraspEnv
 from icub_tasks.grasping.spaces import OBSERVATION_SIZES, PLAN, PLAN_SIZE, VISUAL
 from icub_tasks.grasping.visual import PictureEncoder, VisualEncoder, flare
 

@@ -156,8 +156,10 @@ def test_welding_does_not_move_anything():
         assert np.allclose(welded.forward_kinematics(welded.description.home_q, frame), expected, atol=1e-9), frame
 
 
+@pytest.mark.pybullet
 def test_pybullet_agrees(icub):
-    pybullet = pytest.importorskip("pybullet")
+    import pybullet
+
     d = icub.description
     client = pybullet.connect(pybullet.DIRECT)
     try:

@@ -7,11 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from icub_core.errors import ConfigError, DataError
-from icub_core.geometry import quat_wxyz_to_matrix, rotation_exp
-from icub_core.scene import Scene
+from icub_core.geometry import make_transform, quat_wxyz_to_matrix, rotation_exp
+from icub_core.scene import Geom, ObjectSpec, Scene
 from icub_simulators.decimation import decimate
 from icub_simulators.mujoco.simulator import Mujoco
 from icub_simulators.objects.folder import Folder
+from icub_simulators.objects.household.object_set import KINDS, Household
 from icub_simulators.objects.meshes import count_faces, read_mesh
 from icub_simulators.objects.random1000 import Random1000
 from icub_simulators.objects.resting import drop
@@ -54,7 +55,7 @@ def folder(tmp_path):
 
 
 @pytest.mark.parametrize("name", list(checks("objects")))
-@pytest.mark.parametrize("make", [YcbPrimitives, Random1000])
+@pytest.mark.parametrize("make", [YcbPrimitives, Household, pytest.param(Random1000, marks=pytest.mark.pybullet)])
 def test_contract(make, name):
     checks("objects")[name](make)
 
@@ -98,6 +99,7 @@ def test_ycb_holds_the_eight_of_the_thesis():
     assert YcbPrimitives().names == tuple(PUBLISHED)
 
 
+@pytest.mark.pybullet
 def test_random_objects_are_all_there_but_the_broken_one():
     names = Random1000().names
     assert len(names) == 999
@@ -106,6 +108,7 @@ def test_random_objects_are_all_there_but_the_broken_one():
         Random1000().get("random_7")
 
 
+@pytest.mark.pybullet
 def test_random_objects_have_their_true_size_unless_asked():
     spec = Random1000().get("random_000")
     assert spec.mass == 0.1
@@ -124,6 +127,7 @@ def tilts_after_a_nudge(pieces, rest):
     return np.degrees(np.arccos(np.clip(ends[:, 2] @ rest[2], -1, 1)))
 
 
+@pytest.mark.pybullet
 @pytest.mark.slow
 def test_graspable_random_objects_fit_the_hand_and_stand_firmly():
     objects = Random1000(graspable=True)
@@ -140,6 +144,7 @@ def test_graspable_random_objects_fit_the_hand_and_stand_firmly():
         assert -standing[:, 2].min() == pytest.approx(spec.rest_height, abs=1e-6)
 
 
+@pytest.mark.pybullet
 @pytest.mark.slow
 def test_random_objects_return_to_their_computed_pose():
     """Nearly all of them: some have no pose that withstands 4 degrees."""
@@ -153,6 +158,7 @@ def test_random_objects_return_to_their_computed_pose():
     assert np.mean(np.array(tilts) < 5.0) >= 0.95
 
 
+@pytest.mark.pybullet
 def test_random_objects_rest_where_they_are_put(standing):
     objects = Random1000([0.09, 0.15])
     specs = [objects.get(name) for name in objects.names[:12]]
@@ -165,6 +171,77 @@ def test_random_objects_rest_where_they_are_put(standing):
     upright = [simulator.object_pose(name)[:3, 2] @ pose[:3, 2] for name, pose in poses.items()]
     simulator.close()
     assert np.mean(np.array(upright) > np.cos(0.1)) >= 0.9
+
+
+def household_pieces(spec):
+    return [np.asarray(trimesh.load(piece.mesh, process=False).vertices) for piece in spec.collision]
+
+
+def test_household_things_have_the_length_that_is_asked_for():
+    things = Household()
+    assert len(things.names) == 8 * len(KINDS) >= 100
+    asked = Household([0.1, 0.12])
+    lengths = [2 * max(asked.get(name).half_extents) for name in things.names[::7]]
+    assert all(0.1 - 1e-9 <= length <= 0.12 + 1e-9 for length in lengths)
+    assert len(set(lengths)) == len(lengths)
+    assert all(0.06 < 2 * max(things.get(name).half_extents) < 0.27 for name in things.names)
+    with pytest.raises(ConfigError, match="size"):
+        Household([0.2, 0.1])
+
+
+def test_no_household_thing_has_a_shape_of_a_training_set():
+    """Training sets hold boxes, cylinders and ellipsoids: convex, and 1, pi/4 and pi/6 of the box around them."""
+    for name in Household().names:
+        spec = Household().get(name)
+        pieces = household_pieces(spec)
+        assert len(pieces) >= 2, name
+        hull = hull_volume(np.concatenate(pieces))
+        unlike = min(abs(hull / (8 * np.prod(spec.half_extents)) - share) for share in (1.0, np.pi / 4, np.pi / 6))
+        hollows = 1 - sum(hull_volume(p) for p in pieces) / hull
+        assert max(unlike, hollows) > 0.02, name
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_household_things_stay_as_they_are_put(kind, standing):
+    specs = [Household([0.08, 0.2]).get(f"{kind}_{i}") for i in range(8)]
+    simulator = Mujoco()
+    simulator.load(None, Scene(objects=tuple(specs)))
+    poses = {spec.name: standing(spec, -0.5, -0.85 + 0.24 * i) for i, spec in enumerate(specs)}
+    for name, pose in poses.items():
+        simulator.set_object_pose(name, pose)
+    simulator.step(200)
+    for name, pose in poses.items():
+        moved = simulator.object_pose(name)
+        assert np.arccos(min(moved[2, :3] @ pose[2, :3], 1.0)) < np.radians(3), name
+        assert np.linalg.norm(moved[:3, 3] - pose[:3, 3]) < 0.01, name
+    simulator.close()
+
+
+def test_vessels_are_hollow():
+    """A small ball falls to the bottom of a mug, whose pieces surround it."""
+    spec = Household().get("mug_0")
+    points = np.concatenate(household_pieces(spec))
+    ball = ObjectSpec("ball", (Geom("sphere", (0.008,)),), 0.01, (0.008,) * 3, 0.008)
+    simulator = Mujoco()
+    simulator.load(None, Scene(objects=(spec, ball)))
+    simulator.set_object_pose("mug_0", make_transform(None, [-0.4, 0.0, 0.95 + spec.rest_height]))
+    wall = points[np.abs(points[:, 1]) < 1e-3, 0].min()  # the ear is on the other side
+    simulator.set_object_pose("ball", make_transform(None, [-0.4 + wall + 0.025, 0.0, 1.1]))
+    simulator.step(200)
+    assert simulator.object_pose("ball")[2, 3] < 0.95 + 0.03
+    assert simulator.object_pose("mug_0")[2, 2] > np.cos(0.05)
+    simulator.close()
+
+
+def test_surfaces_of_household_things_are_closed_and_hold_their_pieces():
+    for name in Household().names[::8]:
+        spec = Household().get(name)
+        (drawn,) = spec.visual
+        surface = trimesh.load(drawn.mesh, process=False)
+        assert surface.is_watertight, name
+        assert surface.volume > 0, name
+        pieces = np.concatenate(household_pieces(spec))
+        np.testing.assert_allclose(surface.bounds, [pieces.min(axis=0), pieces.max(axis=0)], atol=1e-6)
 
 
 def l_shape():

@@ -1,32 +1,15 @@
 """What only the Bullet engine promises."""
 
-import builtins
-
 import numpy as np
 import pytest
 
-from icub_core.errors import SimulationError
 from icub_core.interfaces.simulator import Fault
 from icub_core.scene import Geom, ObjectSpec, Scene
 from icub_simulators.mujoco.simulator import Mujoco
 from icub_simulators.objects.mass_properties import mass_properties
-
-pytest.importorskip("pybullet")
-
 from icub_simulators.pybullet.simulator import PyBullet
 
-
-def test_an_engine_that_is_not_installed_is_one_clear_line(monkeypatch):
-    real = builtins.__import__
-
-    def refuse(name, *args, **kwargs):
-        if name.startswith("pybullet"):
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(SimulationError, match="pip install pybullet"):
-        PyBullet().load(None, Scene())
+pytestmark = pytest.mark.pybullet
 
 
 def test_loading_prints_nothing(icub, capfd):

@@ -99,7 +99,7 @@ def test_spread_rotations_are_spread_evenly():
     assert min(angles) > 0.4
 
 
-@pytest.mark.parametrize("engine", [Mujoco, PyBullet])
+@pytest.mark.parametrize("engine", [Mujoco, pytest.param(PyBullet, marks=pytest.mark.pybullet)])
 def test_an_object_of_a_folder_stays_as_it_is_put_in_either_engine(engine, tmp_path, standing):
     CONE.export(tmp_path / "cone.stl")
     BOX.export(tmp_path / "box.stl")

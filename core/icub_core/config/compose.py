@@ -96,8 +96,9 @@ def _settings() -> tuple[str, ...]:
 
 
 def check(config: DictConfig) -> None:
-    """Refuse what composition alone lets through: wrong settings, added keys, a needed plugin that is not chosen."""
+    """Refuse what composition alone lets through: wrong settings, added keys, a plugin that is missing or unused."""
     check_run_settings(config)
+    asked: set[str] = set()
     for kind in KINDS:
         node = config.get(kind)
         if node is None:
@@ -106,8 +107,16 @@ def check(config: DictConfig) -> None:
         cls = load(kind, name)
         checked_parameters(kind, name, cls, parameters)
         for dependency in signature(kind, name, cls).dependencies.values():
+            asked.add(dependency.name)
             if dependency.required and dependency.name in KINDS and config.get(dependency.name) is None:
                 raise missing_dependency(kind, name, dependency.name)
+    # the stages of a run see the simulated world, so a data set would be ignored
+    if config.get("dataset") is not None and "dataset" not in asked:
+        name, _ = split_config("dataset", config.dataset)
+        raise ConfigError(
+            f"dataset={name} is set, but nothing in this run reads a data set; leave it out: "
+            "data sets are for benchmarks and programs"
+        )
 
 
 @contextmanager

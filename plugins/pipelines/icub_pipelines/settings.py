@@ -38,7 +38,7 @@ class SeeSettings:
 
     frames: Annotated[int, at_least(1)] = 50
     distractors: Annotated[int, at_least(0)] = 12
-    distractor_set: str = "random1000"
+    distractor_set: str = "household"
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from icub_core.bounds import above, at_least
 from icub_core.errors import CheckpointError
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
 from icub_core.interfaces.task import Task
-from icub_policies.checkpoint import load_into, read_tensors, write_tensors
+from icub_core.weights import fill, part
+from icub_policies.checkpoint import read_tensors, write_tensors
 from icub_policies.gpayn import actions_of, weights_path
 from icub_policies.inputs import Inputs
 from icub_policies.learner import REPLAY_STEPS, for_weights, memory, seeing, states_of
@@ -70,7 +71,7 @@ class Resprect(Policy):
         hidden, inputs = tensors["actor.layer1.weight"].shape
         actions = actions_of(tensors, path)
         self.base = Actor(inputs, actions, hidden).requires_grad_(False)
-        load_into(self.base, tensors, "actor.", path)
+        fill(self.base, part(tensors, "actor"), f"actor in {path}")
         scale = SacSettings().reward_scale
         settings = SacSettings(hidden=hidden, alpha=ENTROPY_COEFFICIENT * scale, learning_rate=1e-4, caution=CAUTION)
         states = states_of(tensors, actions, path)
@@ -131,6 +132,6 @@ class Resprect(Policy):
         """Read what `save` wrote."""
         tensors, header = read_tensors(path)
         sac, inputs = for_weights(self.sac, Inputs.read(header), tensors, path)
-        load_into(self.base, tensors, "base.", path)
+        fill(self.base, part(tensors, "base"), f"base in {path}")
         sac.load_weights(tensors, path)
         self.sac, self.inputs = sac, inputs

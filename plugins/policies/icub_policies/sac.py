@@ -13,7 +13,7 @@ from pathlib import Path
 
 import torch
 
-from icub_policies.checkpoint import adam_state, load_adam_state, load_into
+from icub_core.weights import adam_state, fill, load_adam_state, part, with_prefix
 from icub_policies.networks import Actor, Critics
 from icub_policies.replay import Batch
 
@@ -203,21 +203,21 @@ class Sac:
 
     def load_weights(self, tensors: dict[str, torch.Tensor], path: Path) -> None:
         """Restore what `weights` returned; WeightsError names the first tensor that does not fit."""
-        load_into(self.actor, tensors, "actor.", path)
+        fill(self.actor, part(tensors, "actor"), f"actor in {path}")
         self.load_critics(tensors, path)
 
     def load_critics(self, tensors: dict[str, torch.Tensor], path: Path) -> None:
         """Take the critics and target critics alone."""
-        load_into(self.critics, tensors, "critics.", path)
-        load_into(self.targets, tensors, "targets.", path)
+        fill(self.critics, part(tensors, "critics"), f"critics in {path}")
+        fill(self.targets, part(tensors, "targets"), f"targets in {path}")
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Return everything that decides later updates."""
         return {
             **self.weights(),
-            **adam_state(self.actor_optimizer, "adam.actor."),
-            **adam_state(self.critic_optimizer, "adam.critics."),
-            **adam_state(self.alpha_optimizer, "adam.alpha."),
+            **with_prefix("adam.actor", adam_state(self.actor_optimizer)),
+            **with_prefix("adam.critics", adam_state(self.critic_optimizer)),
+            **with_prefix("adam.alpha", adam_state(self.alpha_optimizer)),
             "log_alpha": self.log_alpha.detach(),
             "generator": self.generator.get_state(),
             "updates": torch.tensor(self.updates),
@@ -226,9 +226,9 @@ class Sac:
     def load_state_dict(self, tensors: dict[str, torch.Tensor], path: Path) -> None:
         """Restore what `state_dict` returned."""
         self.load_weights(tensors, path)
-        load_adam_state(self.actor_optimizer, tensors, "adam.actor.")
-        load_adam_state(self.critic_optimizer, tensors, "adam.critics.")
-        load_adam_state(self.alpha_optimizer, tensors, "adam.alpha.")
+        load_adam_state(self.actor_optimizer, part(tensors, "adam.actor"))
+        load_adam_state(self.critic_optimizer, part(tensors, "adam.critics"))
+        load_adam_state(self.alpha_optimizer, part(tensors, "adam.alpha"))
         with torch.no_grad():
             self.log_alpha.copy_(tensors["log_alpha"])
         self.generator.set_state(tensors["generator"])

@@ -19,6 +19,7 @@ from icub_core.interfaces.abilities import HasWeights
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
 from icub_core.interfaces.task import Start, Task
 from icub_core.rollouts import run_episodes
+from icub_core.weights import part
 from icub_policies.checkpoint import read_tensors, write_tensors
 from icub_policies.inputs import Inputs
 from icub_policies.replay import CUT, RUNNING, TERMINAL, Batch, Replay, concatenate
@@ -346,13 +347,12 @@ class Trainer:
                 f"{self._path} is a checkpoint of another version of icub-kit (format {header.get('version', 1)}, this "
                 f"one reads {CHECKPOINT_VERSION}); finish it there, or delete it to learn anew"
             )
-        part = _Parts(tensors)
-        self._sac.load_state_dict(part.of("sac."), self._path)
-        self._best = part.of("best.")
-        self._replay.load_state_dict(part.of("replay."))
+        self._sac.load_state_dict(part(tensors, "sac"), self._path)
+        self._best = part(tensors, "best")
+        self._replay.load_state_dict(part(tensors, "replay"))
         if self._demonstrations is not None:
-            self._demonstrations.load_state_dict(part.of("demonstrations."))
-        self._task.load_state_dict(part.of("task."))
+            self._demonstrations.load_state_dict(part(tensors, "demonstrations"))
+        self._task.load_state_dict(part(tensors, "task"))
         self._generator.set_state(tensors["generator"])
         self._noise = tensors["noise"]
         kept = header["count"]
@@ -374,14 +374,6 @@ def learning_rate(optimizer: torch.optim.Optimizer, rate: float) -> Iterator[Non
     finally:
         for group, old in zip(optimizer.param_groups, before, strict=True):
             group["lr"] = old
-
-
-class _Parts:
-    def __init__(self, tensors: dict[str, torch.Tensor]) -> None:
-        self._tensors = tensors
-
-    def of(self, prefix: str) -> dict[str, torch.Tensor]:
-        return {k.removeprefix(prefix): v for k, v in self._tensors.items() if k.startswith(prefix)}
 
 
 def end_codes(after: TensorDictBase) -> torch.Tensor:

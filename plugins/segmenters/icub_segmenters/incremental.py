@@ -30,7 +30,7 @@ class Addition:
     head: OnlineHead
 
     def apply(self, scores: torch.Tensor, X: torch.Tensor) -> None:
-        """Write the scores of X (n, d) to the columns of `scores` (n, classes) and lower those of older classes, in place.
+        """Write the scores of X (n, d) into `scores` (n, classes), and lower those of older classes there.
 
         Where a new class is positive and above an older one, that one's score falls to minus the new one's.
         """

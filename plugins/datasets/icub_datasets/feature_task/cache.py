@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from icub_core.errors import DataError
 from icub_core.files import cache_dir
+from icub_datasets.feature_task.objects import mesh_folder
 from icub_datasets.feature_task.renderer import FeatureTaskRenderer, LabeledImage
 
 log = logging.getLogger(__name__)
@@ -112,6 +113,7 @@ def generate(
     missing = [i for i in range(wanted) if not _shard_path(folder, split, i).exists()]
     if not missing:
         return
+    mesh_folder()  # refused here, not in every worker
     log.info("rendering %d frames of the FEATURE-TASK into %s", len(missing) * SHARD_FRAMES, folder)
     workers = max(1, min(workers, len(missing)))
     context = multiprocessing.get_context("spawn")

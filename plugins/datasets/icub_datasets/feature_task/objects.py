@@ -80,13 +80,14 @@ def resembles_ycb(extents: NDArray[np.float64]) -> str | None:
     return None
 
 
-def _random_urdfs() -> Path:
-    """Folder of the 1000 random meshes that are installed with PyBullet."""
+def mesh_folder() -> Path:
+    """Return the folder of the 1000 random meshes that are installed with PyBullet; DataError where it is not."""
     try:
         import pybullet_data
     except ImportError as error:
         raise DataError(
-            "the FEATURE-TASK needs the meshes of pybullet_data, which is not installed: pip install pybullet"
+            "data set 'feature_task' needs the meshes of the package pybullet, which is not installed; type: "
+            "pip install 'icub-kit[pybullet]' (it is built from source on Python 3.12 and later)"
         ) from error
     folder = Path(pybullet_data.getDataPath()) / "random_urdfs"
     if not folder.is_dir():
@@ -109,7 +110,7 @@ def read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 def _mesh_objects(rng: np.random.Generator, count: int) -> list[TaskObject]:
     """`count` meshes of random_urdfs, their longest side resized to 9 to 20 cm."""
-    folder = _random_urdfs()
+    folder = mesh_folder()
     names = sorted(p.name for p in folder.iterdir() if (p / f"{p.name}.obj").is_file())
     if len(names) < count:
         raise DataError(f"{folder}: expected at least {count} objects, found {len(names)}")

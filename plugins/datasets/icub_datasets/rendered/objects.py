@@ -11,26 +11,22 @@ YCB = (
     "003_cracker_box", "004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle", "008_pudding_box",
     "010_potted_meat_can", "021_bleach_cleanser", "035_power_drill",
 )  # fmt: skip
-RANDOM = (
-    "random_014", "random_021", "random_035", "random_049", "random_063", "random_077", "random_084", "random_112",
-    "random_140", "random_210", "random_266", "random_287", "random_434",
+HOUSEHOLD = (
+    "bottle_2", "bowl_1", "brush_1", "car_4", "dumbbell_0", "goblet_4", "hammer_7", "jar_5", "jug_7", "mug_0", "pan_5",
+    "spray_6", "teapot_3",
 )  # fmt: skip
-"""Chosen by hand among those that the FEATURE-TASK does not use (a test checks that), of household size."""
-TABLETOP = YCB + RANDOM
+"""Of the object set ``household``, no two of a kind."""
+TABLETOP = YCB + HOUSEHOLD
 HANDHELD = (
     "003_cracker_box", "004_sugar_box", "006_mustard_bottle", "010_potted_meat_can", "021_bleach_cleanser",
-    "035_power_drill", "random_049", "random_210", "random_266",
+    "035_power_drill", "dumbbell_0", "hammer_7", "mug_0",
 )  # fmt: skip
-"""Six of HO-3D's nine; the others stand in for its banana, mug and scissors."""
-CLUTTER = ("random_147", "random_154", "random_203", "random_231", "random_420", "random_427")
+"""Seven of HO-3D's nine kinds; a dumbbell and a hammer stand in for its banana and scissors."""
+CLUTTER = ("carton_0", "bowl_6", "screwdriver_6", "stapler_4", "tube_0", "wrench_3")
 """Stand in the background of the hand-held task and are never taught."""
-RANDOM_SIZE = [0.08, 0.18]
-"""Lowest and highest largest extent of a random object, meters."""
 
 
 @lru_cache(maxsize=64)
 def target_object(name: str) -> ObjectSpec:
     """Build one object by its name, from the object set it belongs to."""
-    if name.startswith("random_"):
-        return build("objects", {"plugin": "random1000", "size": RANDOM_SIZE}).get(name)
-    return build("objects", "ycb_primitives").get(name)
+    return build("objects", "ycb_primitives" if name in YCB else "household").get(name)

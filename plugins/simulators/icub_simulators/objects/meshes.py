@@ -12,7 +12,7 @@ from icub_core.errors import DataError
 from icub_core.geometry import quat_wxyz_to_matrix
 from icub_core.scene import Geom, Material, ObjectSpec, RestPose, Vec3
 from icub_simulators.cache import Arrays, cache_folder, cached_arrays, content_key
-from icub_simulators.objects.solids import center_of_mass, hull_volume, rest_pose
+from icub_simulators.objects.solids import center_of_mass, hull_volume, oriented_hull, rest_pose
 
 logger = logging.getLogger(__name__)
 
@@ -181,7 +181,7 @@ def solid_object(
     half = (high - low) / 2
     return ObjectSpec(
         name=name,
-        collision=tuple(Geom("mesh", mesh=_write_hull(p)) for p in pieces),
+        collision=tuple(Geom("mesh", mesh=_write_obj(*oriented_hull(p))) for p in pieces),
         visual=visual,
         mass=mass,
         half_extents=(float(half[0]), float(half[1]), float(half[2])),
@@ -191,21 +191,6 @@ def solid_object(
         material=material,
         friction=friction,
     )
-
-
-def _write_hull(points: FloatArray) -> Path:
-    from scipy.spatial import ConvexHull
-
-    hull = ConvexHull(points)
-    order = np.full(len(points), -1)
-    order[hull.vertices] = np.arange(len(hull.vertices))
-    faces = order[hull.simplices]
-    corners = points[hull.vertices]
-    # qhull leaves the winding open; outward is where the facet's normal points
-    a, b, c = (corners[faces[:, i]] for i in range(3))
-    flip = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
-    faces[flip] = faces[flip][:, ::-1]
-    return _write_obj(corners, faces)
 
 
 def _write_obj(vertices: FloatArray, faces: NDArray[np.integer]) -> Path:

@@ -96,7 +96,10 @@ class Random1000(ObjectSet):
 def _data_root() -> Path:
     spec = importlib.util.find_spec("pybullet_data")
     if spec is None or spec.origin is None:
-        raise DataError("object set 'random1000' needs the files of the package 'pybullet': pip install pybullet")
+        raise DataError(
+            "object set 'random1000' needs the meshes of the package pybullet, which is not installed; type: "
+            "pip install 'icub-kit[pybullet]' (it is built from source on Python 3.12 and later)"
+        )
     return Path(spec.origin).parent / "random_urdfs"
 
 

@@ -30,6 +30,20 @@ def hull_volume(points: FloatArray) -> float:
         return 0.0
 
 
+def oriented_hull(points: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return the corners (V, 3) of the convex hull of (N, 3) points and its triangles (F, 3), counterclockwise."""
+    hull = ConvexHull(points)
+    order = np.full(len(points), -1)
+    order[hull.vertices] = np.arange(len(hull.vertices))
+    faces = order[hull.simplices]
+    corners = points[hull.vertices]
+    # qhull leaves the winding open; outward is where the facet's normal points
+    a, b, c = (corners[faces[:, i]] for i in range(3))
+    flip = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[flip] = faces[flip][:, ::-1]
+    return corners, faces
+
+
 def center_of_mass(pieces: list[FloatArray]) -> FloatArray:
     """Center of mass (3,) of convex pieces, each (N_i, 3), at one density."""
     total, moment = 0.0, np.zeros(3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
 from collections.abc import Iterator
@@ -11,18 +12,21 @@ from typing import Any
 from icub_core.errors import SimulationError
 
 
-def connect() -> Any:
-    """Start a server; the returned client has every function of the library.
+def check_installed() -> None:
+    """Raise SimulationError unless the engine is installed; nothing is imported."""
+    if importlib.util.find_spec("pybullet") is None:
+        raise SimulationError(
+            "simulator 'pybullet' needs the package pybullet, which is not installed; type: "
+            "pip install 'icub-kit[pybullet]' (it is built from source on Python 3.12 and later)"
+        )
 
-    Raises:
-        SimulationError: When the engine is not installed.
-    """
+
+def connect() -> Any:
+    """Start a server; the returned client has every function of the library."""
     with silence():
-        try:
-            import pybullet
-            from pybullet_utils.bullet_client import BulletClient
-        except ImportError as error:
-            raise SimulationError("simulator 'pybullet' needs the package pybullet: pip install pybullet") from error
+        import pybullet
+        from pybullet_utils.bullet_client import BulletClient
+
         return BulletClient(connection_mode=pybullet.DIRECT)
 
 

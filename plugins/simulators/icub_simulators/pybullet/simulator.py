@@ -12,6 +12,7 @@ from icub_core.robot_description import RobotCamera, RobotDescription
 from icub_core.scene import CameraView, Light, Material, Scene
 from icub_simulators.depth_noise import DepthNoise
 from icub_simulators.pybullet.camera import Camera
+from icub_simulators.pybullet.client import check_installed
 from icub_simulators.pybullet.world import World
 from icub_simulators.views import place_camera
 
@@ -30,6 +31,7 @@ class PyBullet(Simulator):
     """
 
     def __init__(self, depth_noise: bool = False) -> None:
+        check_installed()
         self._noise = DepthNoise() if depth_noise else None
         self._loaded: World | None = None
         self._camera: Camera | None = None
