@@ -1,7 +1,8 @@
-"""Old module names that keep working for one release.
+"""Old module names that keep working.
 
-A distribution that has moved a module announces it by an entry point of the group ``icub.alias``: the old name, and the
-new one as its value. Importing the old name gives the new module and a DeprecationWarning.
+A distribution that has moved a module announces it by an entry point: the old name, and the new one as its value.
+Importing a name of the group ``icub.alias`` gives the new module and a DeprecationWarning; such a name goes with the
+next release. A name of the group ``icub.alias.permanent`` stays, and is no reason to warn.
 """
 
 from __future__ import annotations
@@ -10,13 +11,14 @@ import functools
 import importlib
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.metadata import entry_points
 from types import ModuleType
 
 ENTRY_POINT_GROUP = "icub.alias"
+PERMANENT_GROUP = "icub.alias.permanent"
 PACKAGE = "icub_core."
 
 
@@ -36,7 +38,8 @@ class _AliasFinder(MetaPathFinder, Loader):
         moved = new_name(spec.name)
         assert moved is not None
         module = importlib.import_module(moved)
-        warnings.warn(f"{spec.name} is now {moved}; the old name goes with the next release", DeprecationWarning, 2)
+        if not is_permanent(spec.name):
+            warnings.warn(f"{spec.name} is now {moved}; the old name goes with the next release", DeprecationWarning, 2)
         # the import system writes the old name's spec into whatever it is given, so it is given a stand-in
         stand_in = ModuleType(spec.name, module.__doc__)
         stand_in.__getattr__ = functools.partial(getattr, module)  # type: ignore[method-assign]
@@ -47,18 +50,28 @@ class _AliasFinder(MetaPathFinder, Loader):
 
 
 @functools.cache
-def _moved() -> dict[str, str]:
-    return {entry.name: entry.value for entry in entry_points(group=ENTRY_POINT_GROUP)}
+def _moved(group: str) -> dict[str, str]:
+    return {entry.name: entry.value for entry in entry_points(group=group)}
+
+
+def _longest(name: str, moved: Mapping[str, str]) -> str:
+    """Return the longest old name that a module's name begins with, or ""."""
+    parts = name.split(".")
+    known = (".".join(parts[:length]) for length in range(len(parts), 1, -1))
+    return next((old for old in known if old in moved), "")
 
 
 def new_name(old: str) -> str | None:
     """Return where a module is now, by the longest old name that it begins with; None where it has not moved."""
-    parts = old.split(".")
-    for length in range(len(parts), 1, -1):
-        found = _moved().get(".".join(parts[:length]))
-        if found is not None:
-            return ".".join([found, *parts[length:]])
-    return None
+    moved = _moved(ENTRY_POINT_GROUP) | _moved(PERMANENT_GROUP)
+    known = _longest(old, moved)
+    return moved[known] + old[len(known) :] if known else None
+
+
+def is_permanent(old: str) -> bool:
+    """Return True if an old name stays."""
+    permanent = _moved(PERMANENT_GROUP)
+    return _longest(old, _moved(ENTRY_POINT_GROUP) | permanent) in permanent
 
 
 def install_aliases() -> None:

@@ -25,14 +25,14 @@ def load(kind: str, name: str, *, overrides: Sequence[str] = (), **parameters: A
         **parameters: Of the plugin's constructor.
 
     Raises:
-        PluginError: No such plugin, or one that cannot be imported.
-        ConfigError: A parameter that does not exist, or a value that does not fit.
+        ConfigError: No such plugin or parameter, or a value that does not fit.
+        PluginError: A plugin that cannot be imported.
     """
     return Assembly(compose([f"{kind}={name}", *overrides])).fresh(kind, **parameters)
 
 
 def make_env(
-    task: str = "grasp",
+    task: str | None = None,
     *,
     objects: Sequence[str] | None = None,
     num_envs: int = 1,
@@ -42,18 +42,17 @@ def make_env(
     """Build a task: a TorchRL environment of `num_envs` worlds.
 
     Args:
-        task: Registry name.
+        task: Registry name; None takes the one that runs take by default.
         objects: Names of the objects that episodes are about; None takes all of the object set.
         num_envs: Worlds.
         overrides: Further words as after ``icub run``, such as ``"robot=tiny"`` or ``"simulator=pybullet"``.
         **parameters: Of the task's constructor.
 
     Raises:
-        PluginError: No such task, or a plugin that cannot be imported.
-        ConfigError: A parameter that does not exist, or a value that does not fit.
+        ConfigError: No such task or parameter, or a value that does not fit.
+        PluginError: A plugin that cannot be imported.
     """
     chosen = {} if objects is None else {"targets": list(objects)}
-    made: Task = Assembly(compose([f"task={task}", *overrides])).fresh(
-        "task", num_envs=num_envs, **chosen, **parameters
-    )
+    words = [] if task is None else [f"task={task}"]
+    made: Task = Assembly(compose([*words, *overrides])).fresh("task", num_envs=num_envs, **chosen, **parameters)
     return made

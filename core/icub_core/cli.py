@@ -9,16 +9,13 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from importlib.metadata import EntryPoint, entry_points
 
 from icub_core import __version__
+from icub_core.commands.installed import commands_by_name
 from icub_core.errors import ConfigError, IcubError, PluginError, unknown_name
 
 DEBUG_VARIABLE = "ICUB_DEBUG"
 """Environment variable that asks for tracebacks."""
-
-ENTRY_POINT_GROUP = "icub.command"
-"""A command is a function ``main(arguments) -> exit code``; the first line of its docstring is its help."""
 
 EPILOG = f"icub COMMAND --help says more. {DEBUG_VARIABLE}=1 shows tracebacks of expected errors too."
 
@@ -35,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
         prog="icub",
         usage="icub [-h] [--version] COMMAND ...",
-        description=f"See, grasp, compose: perception and grasping for the iCub.\n\ncommands:\n{commands}",
+        description=f"Perception and grasping for the iCub, composed of plugins.\n\ncommands:\n{commands}",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -62,12 +59,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _say(
             f"icub: error: {' '.join(str(error).split())}", 2 if isinstance(error, (ConfigError, PluginError)) else 1
         )
-
-
-def commands_by_name() -> dict[str, EntryPoint]:
-    """Return every announced command, without importing any."""
-    found = entry_points(group=ENTRY_POINT_GROUP)
-    return {entry.name: entry for entry in sorted(found, key=lambda entry: entry.name)}
 
 
 def _dispatch(words: list[str]) -> int:

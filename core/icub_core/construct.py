@@ -14,7 +14,7 @@ from typing import Any, cast
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from icub_core.config.schema import Parameter, Signature, node_type, restore, signature, to_plain, type_name
+from icub_core.config.schema import Parameter, Signature, UnfitError, node_type, restore, signature, to_plain, type_name
 from icub_core.errors import ConfigError, IcubError, PluginError, suggestion
 from icub_core.kinds import KINDS, get_kind
 from icub_core.registry import available, load, one_line
@@ -126,6 +126,9 @@ def checked_parameters(kind: str, name: str, cls: type, values: Mapping[str, Any
     for key, parameter in wanted.parameters.items():
         try:
             arguments[key] = restore(plain[key], parameter.annotation)
+        except UnfitError as cause:
+            inner = Parameter(f"{key}.{cause.path}", cause.annotation, parameter.default)
+            raise wrong_type(kind, name, inner, cause.value, str(cause)) from cause
         except TypeError as cause:
             raise wrong_type(kind, name, parameter, plain[key], str(cause)) from cause
     return arguments

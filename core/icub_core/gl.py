@@ -35,13 +35,13 @@ def choose_backend() -> str:
     raise SimulationError(f"no OpenGL library for rendering ({' or '.join(candidates)}); install one: {_INSTALL}")
 
 
-def make_context() -> Any:
-    """Create an off-screen OpenGL context (with `make_current` and `free`).
+def make_context(library: str) -> Any:
+    """Create an off-screen OpenGL context (with `make_current` and `free`); see `prepare`.
 
     Raises:
         SimulationError: One line that says what to install.
     """
-    context_class = prepare()
+    context_class = prepare(library)
     try:
         context = context_class(64, 64)  # images are drawn into a buffer of their own
         context.make_current()
@@ -53,24 +53,27 @@ def make_context() -> Any:
     return context
 
 
-def prepare() -> Any:
-    """Choose a backend, set the process up for it, and return MuJoCo's class of contexts for it.
+def prepare(library: str) -> Any:
+    """Choose a backend, set the process up for it, and return a library's class of contexts for it.
+
+    Args:
+        library: Package with a module of a class `GLContext` for each backend, as MuJoCo has.
 
     Raises:
         SimulationError: One line that says what to install.
     """
     backend = choose_backend()
     _load_triton_first()
-    # MuJoCo's own loader and PyOpenGL both read the environment when they are first used
+    # the library's own loader and PyOpenGL both read the environment when they are first used
     os.environ[VARIABLE] = backend
     if backend in _LIBRARIES:
         os.environ["PYOPENGL_PLATFORM"] = backend
     # Mesa's software driver: handing a small image to worker threads takes longer than drawing it
     os.environ.setdefault("LP_NUM_THREADS", "0")
     try:
-        return importlib.import_module(f"mujoco.{backend}").GLContext
+        return importlib.import_module(f"{library}.{backend}").GLContext
     except Exception as error:
-        raise SimulationError(f"MuJoCo cannot use {backend} here: {error}; try: {_INSTALL}") from error
+        raise SimulationError(f"{library} cannot use {backend} here: {error}; try: {_INSTALL}") from error
 
 
 def _load_triton_first() -> None:

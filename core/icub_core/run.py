@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from icub_core.hooks import Events
 
 logger = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class Closable(Protocol):
+    """Anything that holds files, processes or an engine."""
+
+    def close(self) -> None:
+        """Free what is held; may be called twice."""
 
 
 class Plugins(Protocol):
@@ -23,6 +32,9 @@ class Plugins(Protocol):
 
     def choose(self, kind: str, name: str) -> None:
         """Choose a plugin for a kind that the configuration leaves out."""
+
+    def takes(self, kind: str) -> Mapping[str, Any]:
+        """Return what the constructor of the chosen plugin of a kind takes: name to default."""
 
     def get(self, kind: str) -> Any:
         """Return the run's instance of a kind."""
@@ -58,7 +70,7 @@ class Run:
     images: list[tuple[str, Path]] = field(default_factory=list)
     stage: str = ""
     _shared: dict[str, Any] = field(default_factory=dict)
-    _closing: list[Callable[[], None]] = field(default_factory=list)
+    _closing: ExitStack = field(default_factory=ExitStack)
 
     def rng(self, purpose: str) -> np.random.Generator:
         """Return a random stream that depends only on the run's seed and the purpose."""
@@ -83,12 +95,11 @@ class Run:
         """Return what several stages use, made by the first that asks; closed when the run ends, if it can be."""
         if name not in self._shared:
             made = self._shared[name] = make()
-            if callable(getattr(made, "close", None)):
-                self._closing.append(made.close)
+            if isinstance(made, Closable):
+                self._closing.callback(made.close)
         return self._shared[name]
 
     def close(self) -> None:
-        """Close what was shared, the latest first."""
-        while self._closing:
-            self._closing.pop()()
+        """Close what was shared, the latest first; one that fails leaves no other open."""
         self._shared.clear()
+        self._closing.close()

@@ -8,6 +8,7 @@ import shlex
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, cast
 
@@ -61,8 +62,8 @@ def carry_out(cfg: DictConfig, run_dir: Path, listeners: Sequence[object] = ()) 
         try:
             run.events.emit("icub_run_end", run=run, metrics=run.metrics, run_dir=run_dir, error=error)
         finally:
-            run.close()
-            plugins.close()
+            with closing(plugins), closing(run):
+                pass
     return run.metrics
 
 

@@ -53,7 +53,7 @@ def run_checks(kind: str, make: Make) -> Iterator[CheckResult]:
             problem = str(error)
         except Exception as error:  # whatever a plugin raises where it should not is a broken contract
             problem = f"raised {type(error).__name__}: {error}" if not isinstance(error, IcubError) else str(error)
-        yield CheckResult(name, summary(check), perf_counter() - start, problem)
+        yield CheckResult(name, summary(check), perf_counter() - start, " ".join(problem.split()))
 
 
 def summary(check: Check) -> str:

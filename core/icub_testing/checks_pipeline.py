@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from icub_core.config.schema import signature
 from icub_core.errors import ConfigError
 from icub_core.hooks import Events
 from icub_core.interfaces.pipeline import Stage
@@ -30,6 +31,10 @@ class _TinyPlugins:
 
     def choose(self, kind: str, name: str) -> None:
         self._chosen.add(kind)
+
+    def takes(self, kind: str) -> dict[str, Any]:
+        wanted = signature(kind, "tiny", tiny_class(kind))
+        return {key: parameter.default for key, parameter in {**wanted.parameters, **wanted.dependencies}.items()}
 
     def get(self, kind: str) -> Any:
         return self.fresh(kind)

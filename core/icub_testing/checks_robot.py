@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.data import FloatArray
 from icub_core.errors import ConfigError
-from icub_core.geometry import is_rigid, rotation_log
+from icub_core.geometry import FloatArray, is_rigid, rotation_log
 from icub_core.interfaces.abilities import ChecksCollisions, HasGaze
 from icub_core.interfaces.robot import Robot
 from icub_core.scene import Table
@@ -208,7 +207,9 @@ def check_gaze(make: Make) -> None:
     camera = d.camera().name
     for point in ([-0.4, 0.0, 1.0], [-0.3, 0.2, 1.1], [5.0, 0.0, 1.0]):
         start = d.home_q
-        answer = robot.gaze(np.array(point), start, camera)
+        answer = robot.gaze(np.array(point), start)
+        named = robot.gaze(np.array(point), start, camera)
+        expect_same(answer.q, named.q, "the answer for the first camera, named and not named")
         inside = (answer.q >= d.lower - 1e-9) & (answer.q <= d.upper + 1e-9)
         expect(inside.all(), "joints within their limits", [d.joint_names[i] for i in np.nonzero(~inside)[0]])
         expect_same(start, d.home_q, "the start before and after")

@@ -6,7 +6,7 @@ from icub_core.kinds import KINDS
 from icub_testing.checks import checks, run_checks, summary
 from icub_testing.tiny import TINY, tiny_class
 
-from .faulty import perception, skills, world  # noqa: F401  # they register their classes
+from .faulty import perception, pipeline, skills, task, world  # noqa: F401  # they register their classes
 from .faulty.base import FAULTY
 
 

@@ -13,8 +13,9 @@ import pytest
 import yaml
 
 from icub_core import __version__
-from icub_core.cli import COMMANDS, main
+from icub_core.cli import main
 from icub_core.commands.completion import SCRIPTS, candidates
+from icub_core.commands.installed import commands_by_name
 from icub_core.errors import DataError, IcubError
 from icub_testing.tiny import TINY
 
@@ -41,18 +42,18 @@ def tiny(install):
 
 @pytest.fixture
 def runs(tiny, tmp_path, monkeypatch):
-    """Replace the pipeline by one that records what it was given; `runs.does` says what it then does."""
+    """Replace what carries out a run by a record of what it was given; `runs.does` says what it then does."""
 
     class Runs(list):
         does = staticmethod(lambda config, run_dir: {"figure": 1.0})
 
     recorded = Runs()
 
-    def run(config, run_dir):
+    def run(config, run_dir, listeners=()):
         recorded.append((config, run_dir))
         return recorded.does(config, run_dir)
 
-    monkeypatch.setattr("icub_core.config.settings.pipeline_runner", lambda name: run)
+    monkeypatch.setattr("icub_core.runner.carry_out", run)
     monkeypatch.chdir(tmp_path)
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
@@ -97,7 +98,26 @@ def test_help_names_every_command(capsys):
         main(["--help"])
     assert not end.value.code
     text = capsys.readouterr().out
-    assert all(command in text for command in COMMANDS)
+    assert {"run", "train", "benchmark", "plugins", "completion"} <= set(commands_by_name())
+    assert all(command in text for command in commands_by_name())
+
+
+def test_a_third_party_s_command_is_listed_and_run_and_a_broken_one_is_one_line(install, capsys):
+    source = 'def main(words):\n    """Say what was typed."""\n    print(*words)\n    return 7\n'
+    install(
+        "echoing",
+        {"icub.command": {"echo": "echo_module:main", "broken": "no_module:main"}},
+        {"echo_module.py": source},
+    )
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "echo        Say what was typed" in capsys.readouterr().out
+    assert main(["echo", "a", "--b"]) == 7
+    assert capsys.readouterr().out == "a --b\n"
+    assert main(["broken"]) == 2
+    error = capsys.readouterr().err
+    assert "the command 'broken' (no_module:main) cannot be imported: No module named 'no_module'" in error
+    assert error.count("\n") == 1
 
 
 def test_version(capsys):
@@ -119,7 +139,9 @@ def test_version(capsys):
         (["run", "--resume", "nowhere"], "nowhere is not the folder of a run"),
         (["run", "--config-dir", "nowhere"], "the configuration folder 'nowhere' does not exist"),
         (["train", "policy"], "'policy' is not KIND=NAME"),
-        (["train", "robot=tiny"], "robot 'tiny' cannot be trained ahead of a run"),
+        (["train", "robot=tiny"], "nothing to train: no training named 'robot=tiny'. "),
+        (["train", "policy=gpain"], "no policy plugin named 'gpain'. Did you mean 'gpayn'?"),
+        (["train", "policy=gpayn", "--minutes", "0"], "--minutes 0.0 is not above 0"),
         (["train", "robot=tini"], "Did you mean 'tiny'?"),
         (["benchmark", "nothing"], "no benchmark named 'nothing'"),
         (["plugins", "list", "robbot"], "no plugin kind named 'robbot'. Did you mean 'robot'?"),
@@ -214,12 +236,12 @@ def test_a_defect_is_not_hidden(runs):
         main(["run", *WORLD])
 
 
-def test_an_interrupted_run_says_how_to_go_on_and_goes_on(runs, capsys):
+def test_an_interrupted_run_says_how_to_resume_and_resumes(runs, capsys):
     runs.does = _raise(KeyboardInterrupt())
     assert main(["run", *WORLD, "+policy=tiny", "policy.speed=0.75"]) == 130
     error = capsys.readouterr().err.strip().splitlines()[-1]
-    assert error.startswith("icub: interrupted; to go on: icub run --resume runs/")
-    words = error.partition("to go on: icub ")[2].split()
+    assert error.startswith("icub: interrupted; to resume: icub run --resume runs/")
+    words = error.partition("to resume: icub ")[2].split()
     runs.does = lambda config, run_dir: {}
     assert main([*words, "pipeline.grasp.episodes=2"]) == 0
     (_, first), (config, second) = runs
@@ -248,19 +270,22 @@ import json, time
 from icub_testing.tiny.skills import TinyPolicy
 class Trained(TinyPolicy):
     \"\"\"Closes the hand as it was trained to.\"\"\"
-    @classmethod
-    def train(cls, run_dir, seed, minutes=7.0, progress=None):
-        progress(0.5, "half")
-        (run_dir / "weights.json").write_text(json.dumps([seed, minutes]))
-        if seed == 99:
-            print("training", flush=True)
-            time.sleep(60)
+def train(run_dir, seed, minutes=7.0, progress=None):
+    progress(0.5, "half")
+    (run_dir / "weights.json").write_text(json.dumps([seed, minutes]))
+    if seed == 99:
+        print("training", flush=True)
+        time.sleep(60)
 """
 
 
 @pytest.fixture
 def trained(install):
-    return install("trained", {"icub.policy": {"trained": "trained_module:Trained"}}, {"trained_module.py": TRAINED})
+    points = {
+        "icub.policy": {"trained": "trained_module:Trained"},
+        "icub.train": {"policy.trained": "trained_module:train"},
+    }
+    return install("trained", points, {"trained_module.py": TRAINED})
 
 
 def test_training_calls_the_plugin_with_its_own_default_budget(trained, tmp_path, monkeypatch):
@@ -271,7 +296,7 @@ def test_training_calls_the_plugin_with_its_own_default_budget(trained, tmp_path
     assert json.loads(Path("elsewhere/weights.json").read_text()) == [0, 2.0]
 
 
-def test_training_that_is_interrupted_says_how_to_go_on(trained, tmp_path):
+def test_training_that_is_interrupted_says_how_to_resume(trained, tmp_path):
     command = [sys.executable, "-m", "icub_core.cli", "train", "policy=trained", "--seed", "99", "--run-dir", "there"]
     path = os.pathsep.join([str(trained), os.environ.get("PYTHONPATH", "")])
     child = subprocess.Popen(
@@ -293,7 +318,7 @@ def test_training_that_is_interrupted_says_how_to_go_on(trained, tmp_path):
         child.kill()
     assert child.returncode == 130
     assert error.strip().splitlines()[-1] == (
-        "icub: interrupted; to go on: icub train policy=trained --seed 99 --minutes 7 --run-dir there"
+        "icub: interrupted; to resume: icub train policy=trained --seed 99 --minutes 7 --run-dir there"
     )
 
 

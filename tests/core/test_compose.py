@@ -8,16 +8,20 @@ from omegaconf import DictConfig, OmegaConf
 from icub_core.config.assembly import Assembly
 from icub_core.config.compose import compose
 from icub_core.config.folders import config_folders, groups
-from icub_core.config.settings import build_scene, to_dataclass
+from icub_core.config.settings import build_scene
+from icub_core.construct import checked_parameters, split_config
 from icub_core.errors import ConfigError, PluginError
 from icub_core.kinds import KINDS
+from icub_core.registry import load
 from icub_testing.tiny import TINY
 
 TINY_WORLD = [f"{kind}=tiny" for kind in ("simulator", "robot", "objects", "grasp_generator")]
 COMPOSED = """
+from collections.abc import Callable
+from icub_core.interfaces.online_head import OnlineHead
 from icub_testing.tiny.perception import TinySegmenter
 class Composed(TinySegmenter):
-    def __init__(self, feature_extractor, online_head, least_pixels: int = 5, seed: int = 0):
+    def __init__(self, feature_extractor, online_head: Callable[[], OnlineHead], least_pixels: int = 5, seed: int = 0):
         super().__init__(least_pixels=least_pixels)
         self.extractor, self.head, self.seed = feature_extractor, online_head(), seed
 """
@@ -63,11 +67,12 @@ def tiny(install):
 
 
 def test_every_kind_has_its_key_and_left_out_stages_are_null(tiny):
-    config = compose([*TINY_WORLD, "~grasp_generator"])
+    config = compose([*TINY_WORLD, "~grasp_generator", "~task"])
     assert set(KINDS) <= set(config)
     assert config.simulator.plugin == "tiny"
     assert config.segmenter is None
     assert config.grasp_generator is None
+    assert config.task is None
     assert config.policy is None
 
 
@@ -138,6 +143,7 @@ def test_configuration_names_plugins_and_never_code(tiny):
         (["scene.timestep=x"], "scene.timestep: Value 'x' of type 'str' could not be converted to Float"),
         (["pipeline.teach.frames=x"], "pipeline.teach.frames: Value 'x'"),
         (["dataset=tiny"], "dataset=tiny is set, but nothing in this run reads a data set; leave it out"),
+        (["pipeline.teach.frams=3"], "'pipeline.teach' has no key 'frams'. Did you mean 'frames'?"),
         (["budget=enormous"], "no budget configuration named 'enormous'. Known: laptop, paper"),
         (["seed=1,2"], "add -m"),
         (["device=${nothing}"], "nothing"),
@@ -217,14 +223,20 @@ class B(TinySegmenter):
 
 
 def test_typed_groups_become_the_dataclasses_of_the_core(tiny):
-    config = compose([*TINY_WORLD, "scene.table_center=[-0.6,0,0.8]", "scene.timestep=0.002", "task.max_steps=99"])
+    config = compose([*TINY_WORLD, "scene.table_center=[-0.6,0,0.8]", "scene.timestep=0.002"])
     scene = build_scene(config.scene, [])
     assert scene.timestep == 0.002
     assert scene.table is not None
     assert scene.table.center == (-0.6, 0.0, 0.8)
-    task = to_dataclass(config.task)
-    assert task.max_steps == 99
-    assert isinstance(task.x_range, tuple)
+
+
+def test_the_task_s_numbers_arrive_in_the_types_of_its_constructor(tiny):
+    config = compose([*TINY_WORLD, "task.max_steps=99", "task.x_range=[-0.5,-0.25]"])
+    name, parameters = split_config("task", config.task)
+    arguments = checked_parameters("task", name, load("task", name), parameters)
+    assert arguments["max_steps"] == 99
+    assert arguments["x_range"] == (-0.5, -0.25)
+    assert isinstance(arguments["y_range"], tuple)
 
 
 FOLDER = config_folders()[0]
@@ -246,7 +258,7 @@ def test_every_budget_preset_fits_its_plugin_and_changes_something(preset):
 
 @pytest.mark.parametrize("experiment", [name for name in groups()["experiment"]])
 def test_every_experiment_composes(experiment):
-    assert compose(["+segmenter=falkon", "+policy=resprect", f"experiment={experiment}"]).pipeline.name == "main"
+    assert compose(["+segmenter=falkon", "+policy=resprect", f"experiment={experiment}"]).pipeline.plugin == "main"
 
 
 def test_the_main_job_composes_from_what_ships():
@@ -255,4 +267,5 @@ def test_the_main_job_composes_from_what_ships():
     assert chosen == {
         "feature_extractor": "compact", "online_head": "falkon", "segmenter": "falkon", "simulator": "mujoco",
         "grasp_generator": "superquadrics", "policy": "resprect", "robot": "icub", "objects": "ycb_primitives",
+        "task": "grasp", "pipeline": "main",
     }  # fmt: skip

@@ -53,7 +53,7 @@ def test_a_point_in_front_of_the_camera_projects_where_it_was_seen():
     np.testing.assert_allclose(in_camera[2], 0.7, atol=1e-6)
 
 
-def test_look_at_keeps_the_picture_upright():
+def test_look_at_keeps_the_image_upright():
     T = geometry.look_at([1.0, 0.0, 1.0], [0.0, 0.0, 0.0])
     assert geometry.is_rigid(T)
     assert T[2, 1] < 0  # the camera's y axis points down in the world
@@ -71,7 +71,7 @@ def test_backing_off_moves_along_the_line_from_center_to_hand():
     [
         (lambda: PointCloud(np.zeros((3, 2))), r"\(N, 3\)"),
         (lambda: Grasp(np.diag([1.0, 1, -1, 1]), np.zeros(3), 1.0, "x"), "rigid"),
-        (lambda: Grasp(np.eye(4), np.zeros(3), 1.0, "x", hand="rigth"), "rigth"),
+        (lambda: Grasp(np.eye(4), np.zeros(3), 1.0, "x", hand=""), "Grasp.hand is empty"),
         (lambda: Instance.from_mask("mug", np.zeros((4, 4), bool)), "mug"),
         (lambda: RgbdFrame(np.zeros((4, 4, 3)), np.zeros((4, 4), np.float32), np.eye(3), np.eye(4)), "uint8"),
         (lambda: RgbdFrame(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 5), np.float32), np.eye(3), np.eye(4)), "depth"),

@@ -6,40 +6,41 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from icub_tasks.grasping.env import GraspEnv
 
-from icub_core.construct import build
-from icub_core.scene import Scene
+from icub_core.config.assembly import Assembly
+from icub_core.config.compose import compose
+from icub_core.interfaces.task import Task
 from icub_policies.gpayn import Gpayn
-from icub_tasks.grasping.task import GraspTask, TaskSettings
+from icub_testing.tiny.task import TinyTask
 
 
 @pytest.fixture(scope="session")
-def make_env() -> Iterator[Callable[..., GraspEnv]]:
-    """Build an environment of one meat can a world, with short episodes."""
-    simulators = []
-    robot = build("robot", "icub")
-    generator = build("grasp_generator", "superquadrics")
-    can = build("objects", "ycb_primitives").get("010_potted_meat_can")
+def make_env() -> Iterator[Callable[..., Task]]:
+    """Build a task of one meat can a world, with short episodes."""
+    plugins = Assembly(compose(["task=grasp"]))
+    made = []
 
-    def make(worlds: int = 1, max_steps: int = 12, pool_size: int = 1) -> GraspEnv:
-        tasks = []
-        for world in range(worlds):
-            simulator = build("simulator", "mujoco")
-            simulator.load(robot.description, Scene(objects=(can,)))
-            simulators.append(simulator)
-            settings = TaskSettings(max_steps=max_steps)
-            tasks.append(GraspTask(simulator, robot, generator, [can.name], settings=settings, seed=world))
-        return GraspEnv(tasks, pool_size=pool_size)
+    def make(num_envs: int = 1, max_steps: int = 12, starts: int = 1, **options) -> Task:
+        words = {"num_envs": num_envs, "max_steps": max_steps, "starts": starts, **options}
+        made.append(plugins.fresh("task", targets=["010_potted_meat_can"], **words))
+        return made[-1]
 
     yield make
-    for simulator in simulators:
-        simulator.close()
+    for task in made:
+        task.close()
+
+
+@pytest.fixture(scope="session")
+def like_the_icub() -> Task:
+    """A task without physics whose hand has as many actuators and fingertips as the iCub's."""
+    return TinyTask(fingers=9, fingertips=5)
 
 
 @pytest.fixture
-def base_file(tmp_path: Path) -> Path:
+def base_file(tmp_path: Path, like_the_icub) -> Path:
     """Weights of an untrained, small base policy."""
     path = tmp_path / "base.safetensors"
-    Gpayn(hidden=16, seed=3).save(path)
+    policy = Gpayn(hidden=16, seed=3)
+    policy.bind(like_the_icub)
+    policy.save(path)
     return path

@@ -10,36 +10,38 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from icub_policies.features import PROPRIOCEPTIVE_SIZE, features
 from tensordict import TensorDict
 
 from icub_core.errors import CheckpointError, ConfigError, WeightsError
 from icub_policies import checkpoint
 from icub_policies.demonstrations import Demonstrations
 from icub_policies.gpayn import Gpayn
+from icub_policies.inputs import VERSION_0_1, Inputs
 from icub_policies.resprect import Resprect
-from icub_tasks.grasping.spaces import OBSERVATION_SIZES, PLAN, PLAN_SIZE
+from icub_testing.tiny.task import TinyTask
+
+SIZES = {
+    "hand_pose": 6, "fingers": 9, "touch": 5, "object_center": 3,
+    "plan_start": 3, "plan_grasp": 3, "plan_opened": 9, "plan_closed": 9, "step": 1,
+}  # fmt: skip
 
 
 def observations(count: int, seed: int, size: float = 1.0) -> TensorDict:
     generator = torch.Generator().manual_seed(seed)
-    entries = {
-        name: size * torch.randn(count, width, generator=generator)
-        for name, width in {**OBSERVATION_SIZES, PLAN: PLAN_SIZE}.items()
-    }
+    entries = {name: size * torch.randn(count, width, generator=generator) for name, width in SIZES.items()}
     return TensorDict(entries, [count])
 
 
-@pytest.fixture(scope="module")
-def gpayn() -> Gpayn:
-    return Gpayn(hidden=16)
+def bound(policy, task):
+    policy.bind(task)
+    return policy
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.01, 100))
-def test_actions_are_finite_and_within_bounds_for_any_observation(seed, size):
+def test_actions_are_finite_and_within_bounds_for_any_observation(like_the_icub, seed, size):
     seen = observations(8, seed, size)
-    for policy in (Gpayn(hidden=16), Demonstrations()):
+    for policy in (bound(Gpayn(hidden=16), like_the_icub), bound(Demonstrations(), like_the_icub)):
         before = seen.clone()
         action = policy.act(seen)
         assert action.shape == (8, 15)
@@ -68,17 +70,22 @@ def test_a_frozen_base_has_no_gradient(base_file):
     assert not any(p.requires_grad for p in residual.base.parameters())
 
 
-def test_features_do_not_jump_where_angles_do():
+def test_inputs_do_not_jump_where_angles_do():
     near, far = observations(1, 0), observations(1, 0)
     near["hand_pose"][0, 3], far["hand_pose"][0, 3] = 1e-4, 2 * torch.pi - 1e-4
-    assert features(near).shape == (1, PROPRIOCEPTIVE_SIZE)
-    torch.testing.assert_close(features(near), features(far), atol=1e-2, rtol=0)
+    inputs = VERSION_0_1
+    assert inputs(near).shape == (1, inputs.size) == (1, 29)
+    torch.testing.assert_close(inputs(near), inputs(far), atol=1e-2, rtol=0)
 
 
 @pytest.mark.parametrize("kind", ["gpayn", "resprect"])
-def test_what_is_saved_is_restored_exactly(kind, base_file, tmp_path):
+def test_what_is_saved_is_restored_exactly(kind, base_file, like_the_icub, tmp_path):
     def build(seed: int):
-        return Gpayn(hidden=16, seed=seed) if kind == "gpayn" else Resprect(base=str(base_file), seed=seed)
+        return (
+            bound(Gpayn(hidden=16, seed=seed), like_the_icub)
+            if kind == "gpayn"
+            else Resprect(base=str(base_file), seed=seed)
+        )
 
     first, second = build(1), build(2)
     with torch.no_grad():
@@ -106,7 +113,7 @@ def test_a_truncated_file_is_one_clear_error(base_file):
         Resprect(base=str(base_file))
 
 
-def test_a_full_disk_leaves_the_earlier_file(base_file, monkeypatch):
+def test_a_full_disk_leaves_the_earlier_file(base_file, like_the_icub, monkeypatch):
     before = base_file.read_bytes()
 
     def full(tensors, path, metadata):
@@ -115,7 +122,7 @@ def test_a_full_disk_leaves_the_earlier_file(base_file, monkeypatch):
 
     monkeypatch.setattr(checkpoint, "save_file", full)
     with pytest.raises(CheckpointError, match="No space left on device"):
-        Gpayn(hidden=16).save(base_file)
+        bound(Gpayn(hidden=16), like_the_icub).save(base_file)
     assert base_file.read_bytes() == before
     assert list(base_file.parent.iterdir()) == [base_file]
 
@@ -157,10 +164,46 @@ def test_an_interrupted_training_goes_on_bit_for_bit(make_env, tmp_path, monkeyp
     assert [name for name, value in last.items() if not torch.equal(value, again[name])] == []
 
 
-def test_resprect_learns_without_ever_becoming_worse_in_its_own_evaluation(make_env, base_file, tmp_path):
+def test_resprect_learns_in_real_worlds(make_env, base_file, tmp_path):
     policy = Resprect(base=str(base_file), seconds=None, env_steps=60, updates_per_step=0.5, warm_up_steps=15)
     policy.settings = replace(policy.settings, evaluate_every=30, evaluation_episodes=1)
     report = policy.learn(make_env(), tmp_path, nothing)
     assert report.env_steps == 60
     assert report.updates > 0
     assert report.metrics["best_success"] >= report.metrics["first_success"]
+
+
+@pytest.mark.parametrize("size", [(4, 3), (2, 2)])
+def test_weights_are_of_one_hand_and_another_hand_is_refused_in_one_line(base_file, size):
+    fingers, fingertips = size
+    for policy in (Gpayn(weights=str(base_file), hidden=16), Resprect(base=str(base_file))):
+        with pytest.raises(ConfigError) as refusal:
+            policy.bind(TinyTask(fingers=fingers, fingertips=fingertips))
+        assert f"9 actuators and 5 fingertips (15 actions); the task's has {fingers} and {fingertips}" in str(
+            refusal.value
+        )
+        assert "\n" not in str(refusal.value)
+
+
+def test_a_policy_without_weights_takes_its_sizes_from_any_hand():
+    task = TinyTask(fingers=4, fingertips=3)
+    policy = Gpayn(hidden=16)
+    with pytest.raises(ConfigError, match="neither weights nor a task"):
+        policy.act(task.reset())
+    policy.bind(task)
+    assert policy.act(task.reset()).shape == (2, 10)
+    assert policy.sac.states == Inputs.of(task).size == 15 + 4 + 3
+
+
+def test_a_script_needs_a_plan_and_steps_that_an_action_can_make(like_the_icub):
+    class WithoutAPlan(TinyTask):
+        def __init__(self):
+            super().__init__()
+            del self.observation_spec["plan_grasp"]
+
+    with pytest.raises(ConfigError, match="the task does not observe 'plan_grasp'"):
+        Demonstrations().bind(WithoutAPlan())
+    with pytest.raises(ConfigError, match=r"approach_step=0\.03 is more than .*; expected at most 0\.02 m"):
+        Demonstrations(approach_step=0.03).bind(like_the_icub)
+    with pytest.raises(ConfigError, match="must be bound to a task"):
+        Demonstrations().act(like_the_icub.reset())

@@ -9,36 +9,42 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from icub_policies.features import PROPRIOCEPTIVE_SIZE, STACK, features
-from icub_policies.visual import seeing
-from icub_tasks.grasping.env import GraspEnv
 from tensordict import TensorDict
 
 from icub_core.construct import build
 from icub_core.errors import ConfigError
+from icub_core.flare import flare
 from icub_policies.gpayn import Gpayn
+from icub_policies.inputs import STACK
+from icub_policies.learner import seeing
 from icub_policies.replay import CUT, RUNNING, TERMINAL, Replay
 from icub_policies.resprect import Resprect
-from icub_tasks.grasping.spaces import OBSERVATION_SIZES, PLAN, PLAN_SIZE, VISUAL
-from icub_tasks.grasping.visual import PictureEncoder, VisualEncoder, flare
+from icub_tasks.grasping.visual import ImageEncoder
+from icub_testing.tiny.perception import TinyFeatureExtractor
 
 F = 2
 
 
-class Brightness(VisualEncoder):
-    """Two numbers a image."""
+VISUAL = "visual"
+WITHOUT_IMAGES = 29
 
-    @property
-    def size(self) -> int:
-        return F
 
-    def encode(self, rgb: np.ndarray) -> torch.Tensor:
-        return torch.tensor([rgb[::2].mean(), rgb[1::2].mean()], dtype=torch.float32) / 128
+class Brightness(TinyFeatureExtractor):
+    """Two numbers an image."""
+
+    region_dim = F
+
+    def extract(self, rgb):
+        self.rgb = rgb
+        return super().extract(rgb)
+
+    def region_features(self, features, boxes):
+        return torch.tensor([[self.rgb[::2].mean(), self.rgb[1::2].mean()]], dtype=torch.float32) / 128
 
 
 def observations(count: int, visual: int = F) -> TensorDict:
     generator = torch.Generator().manual_seed(0)
-    sizes = {**OBSERVATION_SIZES, PLAN: PLAN_SIZE, VISUAL: STACK * visual}
+    sizes = {"hand_pose": 6, "fingers": 9, "touch": 5, "object_center": 3, VISUAL: STACK * visual}
     entries = {n: torch.randn(count, s, generator=generator) for n, s in sizes.items() if s}
     return TensorDict(entries, [count])
 
@@ -49,13 +55,13 @@ def observations(count: int, visual: int = F) -> TensorDict:
     rows=st.integers(7, 50),
     seed=st.integers(0, 100),
 )
-def test_the_memory_keeps_one_picture_a_step_and_gives_back_the_stack_of_three(ends, rows, seed):
+def test_the_memory_keeps_one_image_a_step_and_gives_back_the_stack_of_three(ends, rows, seed):
     rng = torch.Generator().manual_seed(seed)
     replay = Replay(rows, 1, 1 + STACK * F, 1, visual=F)
     given_states, history = [], None
     for end in ends:
-        picture = torch.randn(F, generator=rng)
-        history = torch.stack([picture] * 3) if history is None else torch.cat([history[1:], picture[None]])
+        image = torch.randn(F, generator=rng)
+        history = torch.stack([image] * 3) if history is None else torch.cat([history[1:], image[None]])
         state = torch.cat([torch.randn(1, generator=rng), flare(history)])[None]
         given_states.append(state[0])
         replay.add(state, torch.zeros(1, 1), torch.zeros(1), torch.tensor([end], dtype=torch.uint8))
@@ -69,21 +75,25 @@ def test_the_memory_keeps_one_picture_a_step_and_gives_back_the_stack_of_three(e
 
 
 def test_new_inputs_change_nothing_until_something_is_learned_from_them(make_env, base_file):
-    env = make_env()
-    env_seeing = GraspEnv(env.batch.tasks, pool_size=1, encoder=Brightness())
+    shown = make_env(visual=True, feature_extractor=Brightness)
+    seen = observations(16)
     for policy in (Gpayn(weights=str(base_file), hidden=16), Resprect(base=str(base_file))):
-        seen = observations(16)
         before = policy.act(seen)
-        critics = policy.sac.critics(features(seen, PROPRIOCEPTIVE_SIZE), before)
-        policy.sac = seeing(policy.sac, env_seeing)
-        assert policy.sac.states == PROPRIOCEPTIVE_SIZE + STACK * F
+        sac, inputs = policy._ready() if isinstance(policy, Gpayn) else (policy.sac, policy.inputs)
+        critics = sac.critics(inputs(seen), before)
+        wider, with_images = seeing(sac, inputs, shown)
+        if isinstance(policy, Gpayn):
+            policy._learner = wider, with_images
+        else:
+            policy.sac, policy.inputs = wider, with_images
+        assert wider.states == with_images.size == WITHOUT_IMAGES + STACK * F
         torch.testing.assert_close(policy.act(seen), before)
-        torch.testing.assert_close(policy.sac.critics(features(seen), before), critics)
+        torch.testing.assert_close(wider.critics(with_images(seen), before), critics)
 
 
 @pytest.mark.parametrize("kind", ["gpayn", "resprect"])
-def test_a_policy_learns_with_pictures_and_is_read_back(make_env, base_file, tmp_path, kind):
-    env = GraspEnv(make_env().batch.tasks, pool_size=1, encoder=Brightness())
+def test_a_policy_learns_with_images_and_is_read_back(make_env, base_file, tmp_path, kind):
+    env = make_env(visual=True, feature_extractor=Brightness)
 
     def make():
         if kind == "gpayn":
@@ -100,14 +110,14 @@ def test_a_policy_learns_with_pictures_and_is_read_back(make_env, base_file, tmp
     again = make()
     again.load(tmp_path / "kept.safetensors")
     torch.testing.assert_close(again.act(seen), policy.act(seen))
-    with pytest.raises(ConfigError, match="pipeline.grasp.visual"):
+    with pytest.raises(ConfigError, match="task.visual"):
         again.act(seen.exclude(VISUAL))
-    with pytest.raises(ConfigError, match="pipeline.grasp.visual"):
+    with pytest.raises(ConfigError, match="task.visual"):
         again.learn(make_env(), tmp_path / "other", lambda share, text: None)
 
 
-def test_any_feature_extractor_can_describe_the_picture():
-    encoder = PictureEncoder(build("feature_extractor", "compact"))
+def test_any_feature_extractor_can_describe_the_image():
+    encoder = ImageEncoder(build("feature_extractor", "compact"))
     rgb = np.random.default_rng(0).integers(0, 255, (120, 160, 3)).astype(np.uint8)
     described = encoder.encode(rgb)
     assert described.shape == (encoder.size,)

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from icub_core.cli import commands_by_name
+from icub_core.commands.installed import commands_by_name
 from icub_core.kinds import KINDS
 from icub_core.registry import available
 

@@ -18,7 +18,7 @@ HELP = """\
 usage: icub run [--resume FOLDER] [-m] [--cfg job] [GROUP=NAME ...] [KEY=VALUE ...]
 
 Compose a robot, its senses and its skills, and run them. The main job is
-  icub run +segmenter=falkon +policy=resprect
+  icub run +segmenter=NAME +policy=NAME
 
 GROUP=NAME, +GROUP=NAME   choose a plugin or a preset
 ~GROUP, GROUP=null        leave a plugin out; without a segmenter, ground-truth masks are used

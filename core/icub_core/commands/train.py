@@ -29,7 +29,7 @@ DEFAULT_MINUTES = 60.0
 def main(arguments: Sequence[str]) -> int:
     """Train the weights that a plugin ships with."""
     parser = argparse.ArgumentParser(prog="icub train", description="Train the weights that a plugin ships with.")
-    parser.add_argument("plugin", metavar="KIND=NAME", help="such as feature_extractor=compact or policy=gpayn")
+    parser.add_argument("plugin", metavar="KIND=NAME", help=f"one of {', '.join(choices())}")
     parser.add_argument("--minutes", type=float, help="wall time in all; the plugin's own default otherwise")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str]) -> int:
     options = parser.parse_args(list(arguments))
     kind, equals, name = options.plugin.lstrip("+").partition("=")
     if not equals:
-        raise ConfigError(f"'{options.plugin}' is not KIND=NAME, such as feature_extractor=compact")
+        raise ConfigError(f"'{options.plugin}' is not KIND=NAME. Known: {', '.join(choices())}")
     train = trainer(kind, name)
     run_dir = options.run_dir or Path("runs", "train", f"{kind}-{name}-seed{options.seed}")
     run_dir.mkdir(parents=True, exist_ok=True)
@@ -61,14 +61,18 @@ def trainings() -> dict[str, EntryPoint]:
     return {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
 
 
+def choices() -> list[str]:
+    """Return what may be typed for every training: ``KIND=NAME``."""
+    return [name.replace(".", "=", 1) for name in sorted(trainings())]
+
+
 def trainer(kind: str, name: str) -> Callable[..., None]:
     """Import and return the training of a plugin; raises PluginError with the plugins that have one."""
     info(kind, name)
     known = trainings()
     entry = known.get(f"{kind}.{name}")
     if entry is None:
-        choices = [word.replace(".", "=", 1) for word in known]
-        raise PluginError(f"nothing to train: {unknown_name('training', f'{kind}={name}', choices)}")
+        raise PluginError(f"nothing to train: {unknown_name('training', f'{kind}={name}', choices())}")
     try:
         function: Callable[..., None] = entry.load()
     except Exception as cause:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from contextlib import ExitStack
 from typing import Any
 
 from icub_core.config.schema import is_factory, signature
@@ -46,6 +47,12 @@ class Assembly:
     def choose(self, kind: str, name: str) -> None:
         """Choose a plugin, with its defaults, for a kind that the configuration leaves out."""
         self._config = {str(key): self._config.get(key) for key in self._config} | {kind: {"plugin": name}}
+
+    def takes(self, kind: str) -> dict[str, Any]:
+        """Return what the constructor of the chosen plugin of a kind takes: name to default."""
+        name, _ = split_config(kind, self._config.get(get_kind(kind).name))
+        wanted = signature(kind, name, load(kind, name))
+        return {key: parameter.default for key, parameter in {**wanted.parameters, **wanted.dependencies}.items()}
 
     def get(self, kind: str) -> Any:
         """Return the run's instance of a kind.
@@ -93,8 +100,9 @@ class Assembly:
         return name, parameters, dependencies
 
     def close(self) -> None:
-        """Close every plugin that was built here and holds something open."""
-        for kind in list(self._built):
-            built = self._built.pop(kind)
-            if isinstance(built, Closable):
-                built.close()
+        """Close every plugin that was built here and holds something open; one that fails leaves no other open."""
+        with ExitStack() as closing:
+            for built in self._built.values():
+                if isinstance(built, Closable):
+                    closing.callback(built.close)
+            self._built.clear()

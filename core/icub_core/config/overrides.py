@@ -84,4 +84,4 @@ def _choice_named(word: str, groups: Mapping[str, Collection[str]]) -> str:
     choices = [f"'{group}={word}'" for group, options in groups.items() if word in options]
     if choices:
         return f". Did you mean {' or '.join(choices)}?"
-    return "; expected words such as segmenter=falkon or policy.seed=3"
+    return "; expected words such as policy=NAME or policy.seed=3"

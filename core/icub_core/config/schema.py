@@ -155,7 +155,7 @@ def restore(value: Any, annotation: Any) -> Any:
         if dataclasses.is_dataclass(value):
             return value
         hints = typing.get_type_hints(only, include_extras=True)
-        return only(**{key: restore(member, hints[key]) for key, member in value.items()})  # type: ignore[operator]
+        return only(**{key: _restore_field(key, member, hints[key]) for key, member in value.items()})  # type: ignore[operator]
     members = typing.get_args(only)
     sort = typing.get_origin(only) or only
     if sort not in (tuple, list):
@@ -167,6 +167,29 @@ def restore(value: Any, annotation: Any) -> Any:
             raise TypeError
         return tuple(restore(v, m) for v, m in zip(value, members, strict=True))
     return sort(restore(v, members[0]) if members else v for v in value)
+
+
+class UnfitError(TypeError):
+    """A field of a dataclass has a value that does not fit.
+
+    Attributes:
+        path: Names of fields that lead to it, with dots.
+        value: What was given.
+        annotation: What was expected.
+    """
+
+    def __init__(self, path: str, value: Any, annotation: Any, why: str) -> None:
+        super().__init__(why)
+        self.path, self.value, self.annotation = path, value, annotation
+
+
+def _restore_field(key: str, value: Any, annotation: Any) -> Any:
+    try:
+        return restore(value, annotation)
+    except UnfitError as inner:
+        raise UnfitError(f"{key}.{inner.path}", inner.value, inner.annotation, str(inner)) from inner
+    except TypeError as why:
+        raise UnfitError(key, value, annotation, str(why)) from why
 
 
 def unknown_choice(value: Any, known: tuple[Any, ...]) -> str:

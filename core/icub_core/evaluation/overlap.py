@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from icub_core.data import Instance
 from icub_core.errors import DataError
+from icub_core.geometry import FloatArray
 
-FloatArray = NDArray[np.float64]
 Float = TypeVar("Float", np.float32, np.float64)
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from icub_core.errors import DataError
 from icub_core.evaluation.overlap import box_iou
-
-FloatArray = NDArray[np.float64]
+from icub_core.geometry import FloatArray
 
 
 def best_overlaps(truth: Sequence[FloatArray], proposals: Sequence[FloatArray], top: int | None = None) -> FloatArray:

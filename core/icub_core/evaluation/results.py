@@ -6,6 +6,7 @@ import datetime
 import json
 import os
 import platform
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from importlib import metadata
@@ -14,10 +15,8 @@ from typing import Any
 
 from icub_core.files import write_text_atomically
 
-REPORTED_PACKAGES = (
-    "icub-kit", "torch", "torchvision", "torchrl", "tensordict", "mujoco", "pybullet", "pin", "placo",
-    "numpy", "scipy", "scikit-learn", "hydra-core", "faster-coco-eval",
-)  # fmt: skip
+OWN = "icub-kit"
+"""Distribution whose version, and whose requirements' versions, decide results."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +37,12 @@ class Figure:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of the libraries that decide results; absent ones are left out."""
+    """Return the versions of Python, of this project and of the libraries it requires; absent ones are left out."""
     found = {"python": platform.python_version()}
-    for name in REPORTED_PACKAGES:
+    required = [
+        re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in metadata.requires(OWN) or () if "extra ==" not in line
+    ]
+    for name in (OWN, *required):
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:

@@ -23,15 +23,8 @@ from icub_core.interfaces.robot import GazeSolution
 from icub_core.interfaces.segmenter import UpdateReport
 from icub_core.interfaces.simulator import Simulator
 from icub_core.interfaces.task import Start, Task
+from icub_core.run import Closable as Closable
 from icub_core.scene import Light, Material, Table
-
-
-@runtime_checkable
-class Closable(Protocol):
-    """Any plugin that holds files, processes or an engine."""
-
-    def close(self) -> None:
-        """Free what is held; may be called twice."""
 
 
 @runtime_checkable

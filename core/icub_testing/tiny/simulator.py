@@ -7,13 +7,11 @@ from numpy.typing import NDArray
 
 from icub_core.data import RgbdFrame, RobotState
 from icub_core.errors import ConfigError, SimulationError, unknown_name
-from icub_core.geometry import invert, look_at, make_transform, pinhole, quat_wxyz_to_matrix
+from icub_core.geometry import FloatArray, invert, look_at, make_transform, pinhole, quat_wxyz_to_matrix
 from icub_core.interfaces.simulator import Fault, Rendering, Simulator
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import CameraView, Scene
 from icub_testing.tiny.robot import LINKS, TinyRobot
-
-FloatArray = NDArray[np.float64]
 
 TIME_CONSTANT = 0.05
 """Seconds in which a joint comes e times nearer to its target."""

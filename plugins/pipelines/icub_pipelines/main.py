@@ -24,7 +24,7 @@ class Main(Pipeline):
         teach: What is taught.
         see: How the segmenter is evaluated.
         grasp: What is grasped, and how often.
-        scripted_policy: Carries planned grasps out when neither a segmenter nor a policy was chosen.
+        scripted_policy: Policy that carries planned grasps out when neither a segmenter nor a policy was chosen.
     """
 
     def __init__(
@@ -32,14 +32,14 @@ class Main(Pipeline):
         teach: TeachSettings = TeachSettings(),  # noqa: B008 - frozen
         see: SeeSettings = SeeSettings(),  # noqa: B008 - frozen
         grasp: GraspSettings = GraspSettings(),  # noqa: B008 - frozen
-        scripted_policy: str = "demonstrations",
+        scripted_policy: str | None = None,
     ) -> None:
         self._teach, self._see, self._grasp, self._scripted = teach, see, grasp, scripted_policy
 
     def stages(self, run: Run) -> tuple[Stage, ...]:
         """Return teach, learn, see, plan, grasp; what cannot work is refused before anything starts."""
         plugins = run.plugins
-        if not plugins.chosen("segmenter") and not plugins.chosen("policy"):
+        if self._scripted and not plugins.chosen("segmenter") and not plugins.chosen("policy"):
             plugins.choose("policy", self._scripted)
             run.note(
                 f"no policy was chosen: planned grasps are carried out by '{self._scripted}'; +policy=NAME learns to"
@@ -54,8 +54,7 @@ class Main(Pipeline):
             objects.get(name)  # a misspelled name must not wait until its stage
         if plugins.chosen("policy"):
             objects.get(self._target)
-            if not plugins.chosen("grasp_generator"):
-                raise ConfigError("a policy starts from a grasp pose; choose grasp_generator=superquadrics")
+            _check_task(run)
         for kind in ("segmenter", "policy", "grasp_generator"):
             if plugins.chosen(kind):
                 plugins.get(kind)  # the same for a misspelled parameter or a missing weight file
@@ -97,21 +96,42 @@ class Main(Pipeline):
         chosen, settings = run.plugins.chosen("segmenter"), self._grasp
         masks = functools.partial(seeing.find_mask, run.plugins.get("segmenter")) if chosen else None
 
+        given = {
+            "targets": [self._target],
+            "masks": masks,
+            "num_envs": settings.worlds,
+            "starts": settings.starts,
+            "threads": settings.threads,
+            "visual": settings.visual,
+            "seed": run.seed,
+        }
+        given = {key: value for key, value in given.items() if key in run.plugins.takes("task")}
+
         def make() -> Task:
-            task: Task = run.plugins.fresh(
-                "task",
-                targets=[self._target],
-                masks=masks,
-                num_envs=settings.worlds,
-                starts=settings.starts,
-                threads=settings.threads,
-                visual=settings.visual,
-                seed=run.seed,
-            )
+            task: Task = run.plugins.fresh("task", **given)
             return task
 
         made: Task = run.shared("task", make)
         return made
+
+
+DECIDED_HERE = {"num_envs": "worlds", "starts": "starts", "threads": "threads", "visual": "visual"}
+"""Parameter of the task to the key of `pipeline.grasp` that decides it."""
+
+
+def _check_task(run: Run) -> None:
+    """Refuse a run without a task, and settings of the task that this pipeline would overrule."""
+    if not run.plugins.chosen("task"):
+        raise ConfigError("a policy acts in a task; add task=NAME")
+    taken, node = run.plugins.takes("task"), run.config.get("task") or {}
+    if "grasp_generator" in taken and not run.plugins.chosen("grasp_generator"):
+        raise ConfigError("a policy starts from a grasp pose; choose grasp_generator=superquadrics")
+    for key, setting in DECIDED_HERE.items():
+        if key in taken and key in node and node[key] != taken[key]:
+            raise ConfigError(
+                f"task.{key}={node[key]} is decided by pipeline.grasp.{setting} in this pipeline; "
+                f"type pipeline.grasp.{setting}={node[key]}"
+            )
 
 
 def _simulator(run: Run) -> Simulator:

@@ -136,8 +136,11 @@ def distractors(
     objects: ObjectSet, taught: Sequence[str], settings: SeeSettings, rng: np.random.Generator
 ) -> list[ObjectSpec]:
     """Draw objects that are never taught: half of them from the rest of the object set, the others random ones."""
-    count = settings.distractors
-    rest = [objects.get(name) for name in objects.names if name not in taught][: count // 2]
+    count = settings.count
+    others = [name for name in objects.names if name not in taught]
+    if settings.distractor_set is None:
+        return [objects.get(name) for name in others[:count]]
+    rest = [objects.get(name) for name in others[: count // 2]]
     random = build("objects", settings.distractor_set, size=list(DISTRACTOR_SIZE))
     drawn = rng.choice(len(random.names), count - len(rest), replace=False)
     return rest + [random.get(random.names[i]) for i in sorted(drawn)]

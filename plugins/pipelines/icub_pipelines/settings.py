@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -33,12 +34,22 @@ class SeeSettings:
         frames: Test images.
         distractors: Objects on the table that are never taught, drawn from the rest of the object set and from
             `distractor_set`.
-        distractor_set: Object set that is in no training set.
+        distractor_set: Object set that is in no training set; None takes the rest of the object set alone.
+        strangers: Old name of `distractors`, for one release.
     """
 
     frames: Annotated[int, at_least(1)] = 50
     distractors: Annotated[int, at_least(0)] = 12
-    distractor_set: str = "household"
+    distractor_set: str | None = None
+    strangers: Annotated[int | None, at_least(0)] = None
+
+    @property
+    def count(self) -> int:
+        """Number of distractors, by whichever name it was given."""
+        if self.strangers is None:
+            return self.distractors
+        warnings.warn("pipeline.see.strangers is now pipeline.see.distractors", DeprecationWarning, stacklevel=2)
+        return self.strangers
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from icub_core.data import Instance
 from icub_core.errors import ConfigError
 from icub_core.evaluation.detection import evaluate_instances
 from icub_core.interfaces.pipeline import Pipeline, Stage
+from icub_core.renames import renamed
 from icub_core.run import Run
 from icub_core.scene import ObjectSpec
 from icub_pipelines import seeing
@@ -28,6 +29,7 @@ NEIGHBORS = 3
 """Other unknown objects beside the corrected one in the images that measure the correction."""
 
 
+@renamed(strangers="distractors")
 class TeachByShowing(Pipeline):
     """Teach objects one after another, then correct a false positive by teaching it; or do so in conversation.
 
@@ -38,7 +40,7 @@ class TeachByShowing(Pipeline):
         frames: Images of each.
         looks: Images of the table in which false positives are sought, and as many others that measure the change.
         distractors: Unknown objects on the table; one of them is mistaken, and then taught.
-        distractor_set: Object set that is in no training set.
+        distractor_set: Object set that is in no training set; None takes the rest of the object set alone.
         interactive: Take commands from the terminal instead of following the script.
     """
 
@@ -49,7 +51,7 @@ class TeachByShowing(Pipeline):
         frames: Annotated[int, at_least(1)] = 60,
         looks: Annotated[int, at_least(1)] = 24,
         distractors: Annotated[int, at_least(1)] = 10,
-        distractor_set: str = SeeSettings.distractor_set,
+        distractor_set: str | None = None,
         interactive: bool = False,
     ) -> None:
         self._chosen, self._preferred, self._frames, self._looks = objects, preferred, frames, looks

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -251,17 +252,27 @@ class Trainer:
         return concatenate(parts)
 
     def _warm_up(self) -> None:
-        """Imitate the demonstrations, then let the critics judge what came of it, before anything is tried."""
+        """Imitate the demonstrations, then let the critics judge what came of it, before anything is tried.
+
+        Each of the two ends early when a quarter of the seconds of the budget are spent on it.
+        """
         settings = self._settings
         if self._demonstrations is None:
             return
+        longest = math.inf if settings.seconds is None else settings.seconds / 4
         size = self._sac.settings.batch
+        begun = time.monotonic()
         with learning_rate(self._sac.actor_optimizer, IMITATION_LEARNING_RATE):
             for done in range(settings.imitation_updates):
+                if time.monotonic() - begun > longest:
+                    break
                 self._sac.imitate(self._batch(size))
                 if done % 100 == 0:
                     self._progress(0.0, f"imitates the demonstrations, {done} of {settings.imitation_updates}")
+        begun = time.monotonic()
         for done in range(settings.warm_up_updates):
+            if time.monotonic() - begun > longest:
+                break
             self._sac.update(self._batch(size), actor=False)
             if done % 100 == 0:
                 self._progress(0.0, f"judges the demonstrations, {done} of {settings.warm_up_updates}")

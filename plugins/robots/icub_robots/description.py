@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Literal, get_args
 
 import numpy as np
 
+from icub_core.cache import cached_text
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.geometry import make_transform
 from icub_core.robot_description import Actuator, ContactMaterial, Grip, HandDescription, RobotDescription
 from icub_robots import body
-from icub_robots.cache import store_text
 from icub_robots.hand_meshes import hand_shapes
-from icub_robots.hand_table import SIDES, Hand, load_hand
-from icub_robots.models import BODY_MODEL, MODELS
+from icub_robots.hand_table import SIDES, Hand, Side, load_hand
+from icub_robots.models import BODY_MODEL, MODELS, Model
 from icub_robots.urdf import assemble, joint_limits, root_transform
 
-COUPLINGS = ("tendon", "equal_split")
+Coupling = Literal["tendon", "equal_split"]
 WORKSPACE = np.array([[-0.65, -0.45, 0.93], [0.0, 0.55, 1.60]])
 """Lowest and highest hand position, world, meters: in front of the robot, above the table."""
-GRIPS = {
+GRIPS: dict[str, Grip] = {
     side: Grip(
         T_hand_grip=make_transform(np.eye(3), [0.033, -0.002, 0.001]),
         width=0.075,  # of an opening of 0.09, of which placing and pose errors take their part
@@ -34,16 +35,16 @@ finger to the little one."""
 
 
 def describe(
-    hands: Sequence[str] = ("right",),
-    limits: str = "ikin",
-    coupling: str = "tendon",
+    hands: Sequence[Side] = ("right",),
+    limits: body.LimitSet = "ikin",
+    coupling: Coupling = "tendon",
     weld: bool = True,
-    model: str = BODY_MODEL,
+    model: Model = BODY_MODEL,
 ) -> RobotDescription:
     """Assemble the robot.
 
     Args:
-        hands: Hands with fingers, ``"right"`` and/or ``"left"``.
+        hands: Hands with fingers, ``"right"``, ``"left"`` or both; the first is the one used where none is named.
         limits: ``"ikin"`` (the limits that the real robot's arm solver uses) or ``"urdf"``.
         coupling: ``"tendon"``: one actuator pulls the weighted sum of its joints, contact decides the split;
             ``"equal_split"``: those joints also stay equal.
@@ -73,7 +74,7 @@ def describe(
     home = {**body.HOME, **{joint: q for hand in fingered for joint, q in hand.home.items()}}
     return RobotDescription(
         name="icub",
-        urdf=store_text(text, "icub", ".urdf"),
+        urdf=cached_text("robots", text, ".urdf"),
         T_world_root=root_transform(),
         joint_names=tuple(movable),
         lower=np.array([ranges[joint][0] for joint in movable]),
@@ -81,7 +82,7 @@ def describe(
         groups=_groups(arms, legs, fingered),
         actuators=_actuators(arms, fingered, ranges),
         home={joint: q for joint, q in home.items() if joint in movable},
-        hands={side: _hand(side, fingered) for side in SIDES if side in arms},
+        hands={side: _hand(side, fingered) for side in dict.fromkeys([*hands, *SIDES]) if side in arms},
         cameras=body.CAMERAS,
         dynamics={
             joint: dynamics
@@ -123,8 +124,8 @@ def _check(hands: Sequence[str], limits: str, coupling: str, model: str) -> None
             raise ConfigError(unknown_name("hand", side, SIDES))
     if limits not in body.LIMIT_SETS:
         raise ConfigError(unknown_name("set of joint limits", limits, body.LIMIT_SETS))
-    if coupling not in COUPLINGS:
-        raise ConfigError(unknown_name("finger coupling", coupling, COUPLINGS))
+    if coupling not in get_args(Coupling):
+        raise ConfigError(unknown_name("finger coupling", coupling, get_args(Coupling)))
     if model not in MODELS:
         raise ConfigError(unknown_name("model of icub-models", model, MODELS))
 

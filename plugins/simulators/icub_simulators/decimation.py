@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from icub_core.geometry import FloatArray
+
 IntArray = NDArray[np.int64]
 
 _FINEST, _COARSEST = 200, 2  # grid cells along the longest side

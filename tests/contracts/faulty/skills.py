@@ -9,13 +9,13 @@ import torch
 
 from icub_core.data import Grasp, GraspProposals, PointCloud
 from icub_core.geometry import make_transform, rotation_about, rotation_exp
-from icub_tasks.grasping.spaces import HAND_POSE, OBJECT_CENTER
+from icub_core.interfaces.policy import LearnReport
 from icub_testing.tiny.skills import TinyGraspGenerator, TinyPolicy
 
 from .base import breaks
 
 
-def _one(T, center, hand="right"):
+def _one(T, center, hand="claw"):
     return GraspProposals((Grasp(T, center, 1.0, "faulty", hand),), center)
 
 
@@ -27,21 +27,21 @@ class HoversFarAbove(TinyGraspGenerator):
 
 @breaks("grasp_generator", "check_order")
 class WorstGraspFirst(TinyGraspGenerator):
-    def propose(self, cloud, robot, table, hand="right"):
+    def propose(self, cloud, robot, table, hand=None):
         answer = super().propose(cloud, robot, table, hand)
         return replace(answer, grasps=answer.grasps[::-1])
 
 
 @breaks("grasp_generator", "check_hand")
 class OtherHand(TinyGraspGenerator):
-    def propose(self, cloud, robot, table, hand="right"):
+    def propose(self, cloud, robot, table, hand=None):
         answer = super().propose(cloud, robot, table, hand)
         return replace(answer, grasps=tuple(replace(grasp, hand="left") for grasp in answer.grasps))
 
 
 @breaks("grasp_generator", "check_reachable")
 class PreGraspOutOfReach(TinyGraspGenerator):
-    def propose(self, cloud, robot, table, hand="right"):
+    def propose(self, cloud, robot, table, hand=None):
         answer = super().propose(cloud, robot, table, hand)
         if not answer:
             return answer
@@ -51,7 +51,7 @@ class PreGraspOutOfReach(TinyGraspGenerator):
 
 @breaks("grasp_generator", "check_table")
 class HandInTheTable(TinyGraspGenerator):
-    def propose(self, cloud, robot, table, hand="right"):
+    def propose(self, cloud, robot, table, hand=None):
         answer = super().propose(cloud, robot, table, hand)
         if not answer:
             return answer
@@ -62,20 +62,20 @@ class HandInTheTable(TinyGraspGenerator):
 
 @breaks("grasp_generator", "check_empty_cloud")
 class NeedsACloud(TinyGraspGenerator):
-    def propose(self, cloud, robot, table, hand="right"):
+    def propose(self, cloud, robot, table, hand=None):
         cloud.points.min(axis=0)
         return super().propose(cloud, robot, table, hand)
 
 
 @breaks("grasp_generator", "check_few_points")
 class ContentWithTwoPoints(TinyGraspGenerator):
-    def propose(self, cloud, robot, table, hand="right"):
+    def propose(self, cloud, robot, table, hand=None):
         return super().propose(PointCloud(np.tile(cloud.points, (10, 1))), robot, table, hand)
 
 
 @breaks("grasp_generator", "check_not_finite")
 class FailsOnNaN(TinyGraspGenerator):
-    def propose(self, cloud, robot, table, hand="right"):
+    def propose(self, cloud, robot, table, hand=None):
         if np.isnan(cloud.points).any():
             raise np.linalg.LinAlgError("SVD did not converge")
         return super().propose(cloud, robot, table, hand)
@@ -83,7 +83,7 @@ class FailsOnNaN(TinyGraspGenerator):
 
 @breaks("grasp_generator", "check_degenerate")
 class InvertsTheSpread(TinyGraspGenerator):
-    def propose(self, cloud, robot, table, hand="right"):
+    def propose(self, cloud, robot, table, hand=None):
         if len(cloud) > 2 and np.isfinite(cloud.points).all():
             np.linalg.inv(np.round(np.cov(cloud.points.T), 12))
         return super().propose(cloud, robot, table, hand)
@@ -91,7 +91,7 @@ class InvertsTheSpread(TinyGraspGenerator):
 
 @breaks("grasp_generator", "check_too_large")
 class GraspsAnything(TinyGraspGenerator):
-    def propose(self, cloud, robot, table, hand="right"):
+    def propose(self, cloud, robot, table, hand=None):
         if not np.isfinite(cloud.points).all() or len(cloud) == 0:
             return super().propose(cloud, robot, table, hand)
         middle = (cloud.points.min(axis=0) + cloud.points.max(axis=0)) / 2
@@ -100,7 +100,7 @@ class GraspsAnything(TinyGraspGenerator):
 
 @breaks("grasp_generator", "check_unreachable")
 class NeverAsksTheRobot(TinyGraspGenerator):
-    def propose(self, cloud, robot, table, hand="right"):
+    def propose(self, cloud, robot, table, hand=None):
         answer = super().propose(cloud, robot, table, hand)
         if answer.object_center is None:
             return answer
@@ -110,7 +110,7 @@ class NeverAsksTheRobot(TinyGraspGenerator):
 
 @breaks("grasp_generator", "check_repeatable")
 class TurnsAtRandom(TinyGraspGenerator):
-    def propose(self, cloud, robot, table, hand="right"):
+    def propose(self, cloud, robot, table, hand=None):
         answer = super().propose(cloud, robot, table, hand)
         turn = make_transform(rotation_exp([0.0, 0.0, 0.01 * np.random.default_rng().random()]))
         return replace(answer, grasps=tuple(replace(g, T_world_hand=g.T_world_hand @ turn) for g in answer.grasps))
@@ -118,7 +118,7 @@ class TurnsAtRandom(TinyGraspGenerator):
 
 @breaks("grasp_generator", "check_inputs_unchanged")
 class RoundsTheCloud(TinyGraspGenerator):
-    def propose(self, cloud, robot, table, hand="right"):
+    def propose(self, cloud, robot, table, hand=None):
         np.round(cloud.points, 3, out=cloud.points)
         return super().propose(cloud, robot, table, hand)
 
@@ -133,7 +133,7 @@ class DoubleActions(TinyPolicy):
 class Unclipped(TinyPolicy):
     def act(self, observation):
         action = super().act(observation)
-        action[:, 0] = 5 * (observation[OBJECT_CENTER][:, 0] - observation[HAND_POSE][:, 0])
+        action[:, 0] = 5 * (observation["object_center"][:, 0] - observation["hand_pose"][:, 0])
         return action
 
 
@@ -142,7 +142,7 @@ class RemembersExtremes(TinyPolicy):
     largest = 0.0
 
     def act(self, observation):
-        self.largest = max(self.largest, float(observation[HAND_POSE].abs().max()))
+        self.largest = max(self.largest, float(observation["hand_pose"].abs().max()))
         action = super().act(observation)
         action[:, 0] = min(1.0, 1 / self.largest)
         return action
@@ -152,7 +152,7 @@ class RemembersExtremes(TinyPolicy):
 class NormalizesActionsOverTheBatch(TinyPolicy):
     def act(self, observation):
         action = super().act(observation)
-        x = observation[HAND_POSE][:, 0]
+        x = observation["hand_pose"][:, 0]
         action[:, 0] = torch.tanh(x - x.mean())
         return action
 
@@ -183,3 +183,9 @@ class SavesInexactly(TinyPolicy):
 
     def load(self, path):
         self._speed = float(Path(path).read_text())
+
+
+@breaks("policy", "check_learning")
+class LearnsNothing(TinyPolicy):
+    def learn(self, task, run_dir=None, progress=None, *, seconds=None):
+        return LearnReport(seconds=seconds)

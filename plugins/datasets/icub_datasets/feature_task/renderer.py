@@ -83,7 +83,7 @@ class FeatureTaskRenderer:
             SimulationError: When MuJoCo cannot render on this machine.
             DataError: When the meshes are not installed.
         """
-        context_class = prepare()
+        context_class = prepare("mujoco")
         import mujoco
 
         # MuJoCo chose a context class when it was first imported, perhaps before `prepare` found the right one

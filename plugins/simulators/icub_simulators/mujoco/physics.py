@@ -11,16 +11,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.data import RobotState
 from icub_core.errors import ConfigError, SimulationError, unknown_name
-from icub_core.geometry import matrix_to_quat_wxyz
+from icub_core.geometry import FloatArray, matrix_to_quat_wxyz
 from icub_core.interfaces.simulator import Fault
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import Scene
 from icub_simulators.mujoco.builder import build_physics, parking_place
 from icub_simulators.mujoco.index import ObjectSlots, build_index
-
-FloatArray = NDArray[np.float64]
 
 logger = logging.getLogger(__name__)
 
@@ -87,6 +84,11 @@ class Physics:
         self._half_step = 0.5 * scene.timestep
         self.reset()
 
+    @property
+    def time(self) -> float:
+        """Simulated seconds since reset."""
+        return float(self.data.time)
+
     def reset(self) -> None:
         """Time 0, home pose at rest, objects parked, faults cleared."""
         mujoco.mj_resetData(self.model, self.data)
@@ -129,10 +131,6 @@ class Physics:
         if self._stale:
             return self._A @ self.joint_positions() + self._b
         return self._lengths + self._b
-
-    def robot_state(self, contacts: NDArray[np.bool_]) -> RobotState:
-        """Bundle what the robot measures with the given fingertip contacts."""
-        return RobotState(self.joint_positions(), self.joint_velocities(), self.actuator_positions(), contacts)
 
     def set_joint_positions(self, q: FloatArray) -> None:
         """Teleport the robot, at rest, with targets that hold it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from icub_core.data import RgbdFrame
 from icub_core.errors import SimulationError
-from icub_core.geometry import pinhole
+from icub_core.geometry import FloatArray, pinhole
 from icub_core.gl import make_context
 from icub_core.interfaces.simulator import Rendering
 from icub_core.robot_description import RobotDescription
@@ -27,8 +28,6 @@ from icub_simulators.mujoco.looks import (
     set_surface,
     set_texture,
 )
-
-FloatArray = NDArray[np.float64]
 
 _Frustum = tuple[FloatArray, FloatArray]
 
@@ -49,7 +48,7 @@ class Renderer:
     """
 
     def __init__(self, robot: RobotDescription | None, scene: Scene) -> None:
-        self._gl: Any = make_context()
+        self._gl: Any = make_context("mujoco")
         spec = build_spec(robot, scene, visual=True)
         dress(spec, scene)
         self.model = compile_model(spec)
@@ -100,7 +99,7 @@ class Renderer:
         table: Material | None,
         floor: Material | None,
         backdrop: Material | None,
-        lights: tuple[Light, ...] | None,
+        lights: Sequence[Light] | None,
     ) -> None:
         """Change what is given; see the simulator's interface."""
         changed = []

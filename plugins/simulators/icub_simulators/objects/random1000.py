@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from icub_core.cache import Arrays, cached_arrays, content_key
 from icub_core.errors import ConfigError, DataError, unknown_name
 from icub_core.geometry import quat_wxyz_to_matrix
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.scene import Material, ObjectSpec, RestPose
-from icub_simulators.cache import Arrays, cached_arrays, content_key
 from icub_simulators.objects.meshes import solid_object, without_specks
 from icub_simulators.objects.solids import (
     STABLE_TILT,

@@ -9,16 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from icub_core.cache import cached_file, content_key
 from icub_core.data import RgbdFrame
 from icub_core.errors import SimulationError
-from icub_core.files import write_bytes_atomically
-from icub_core.geometry import invert, pinhole
+from icub_core.geometry import FloatArray, invert, pinhole
 from icub_core.interfaces.simulator import Rendering
 from icub_core.scene import CameraView, Light, Material
-from icub_simulators.cache import cache_folder, content_key
 from icub_simulators.pybullet.world import World
-
-FloatArray = NDArray[np.float64]
 
 NEAR, FAR = 0.02, 40.0
 _MAX_SIDE = 8192
@@ -116,7 +113,5 @@ def _projection(fovy: float, width: int, height: int) -> list[float]:
 
 def _texture_file(image: NDArray[np.uint8]) -> Path:
     """Write a texture into the cache, where Bullet reads it."""
-    path = cache_folder("textures") / f"{content_key(image.tobytes(), *image.shape)}.png"
-    if not path.exists():
-        write_bytes_atomically(path, cv2.imencode(".png", image[..., ::-1])[1].tobytes())
-    return path
+    name = f"{content_key(image.tobytes(), *image.shape)}.png"
+    return cached_file("textures", name, lambda: cv2.imencode(".png", image[..., ::-1])[1].tobytes())

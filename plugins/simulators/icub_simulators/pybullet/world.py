@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError, SimulationError, unknown_name
-from icub_core.geometry import invert, make_transform, matrix_to_quat_wxyz, quat_wxyz_to_matrix
+from icub_core.geometry import FloatArray, invert, make_transform, matrix_to_quat_wxyz, quat_wxyz_to_matrix
 from icub_core.interfaces.simulator import Fault
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import Scene
@@ -15,8 +15,6 @@ from icub_simulators.objects.mass_properties import mass_properties
 from icub_simulators.pybullet.assembly import add_floor, add_object, add_table, load_robot, set_robot_contacts, xyzw
 from icub_simulators.pybullet.client import connect
 from icub_simulators.pybullet.servos import Servos
-
-FloatArray = NDArray[np.float64]
 
 GRAVITY = 9.81
 TOUCHING = 5e-4

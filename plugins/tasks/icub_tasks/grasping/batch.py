@@ -41,6 +41,8 @@ MAX_LEAD, MAX_TURN = 0.01, 0.15
 
 DIFF: unlimited in the thesis, where drifting out of reach ends the episode; here the command waits at the edge, and
 only a solver that diverges is a fault."""
+NOT_BEGUN = -1
+"""Stands in a state for the object of a world in which no episode has begun."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +247,8 @@ class TaskBatch:
         arrays.update({f"reward.{k}": v for k, v in self._reward.state_dict().items()})
         arrays.update({f"reader.{k}": v for k, v in self._reader.state_dict().items()})
         arrays.update({f"simulation.{i}": s.save_state() for i, s in enumerate(self._simulators)})
-        names = [world.objects.index(name) for world, name in zip(self.worlds, self._objects, strict=True)]
+        pairs = zip(self.worlds, self._objects, strict=True)
+        names = [world.objects.index(name) if name else NOT_BEGUN for world, name in pairs]
         arrays["objects"] = np.array(names, dtype=np.int64)
         counts = [self.fault_filter.ends.get(reason, 0) for reason in EndReason]
         arrays["ends"] = np.array(counts, dtype=np.int64)
@@ -260,7 +263,8 @@ class TaskBatch:
         self._reader.load_state_dict(part(arrays, "reader."))
         for i, simulator in enumerate(self._simulators):
             simulator.restore_state(np.asarray(arrays[f"simulation.{i}"], dtype=np.float64))
-        self._objects = [world.objects[int(k)] for world, k in zip(self.worlds, arrays["objects"], strict=True)]
+        pairs = zip(self.worlds, arrays["objects"].tolist(), strict=True)
+        self._objects = ["" if k == NOT_BEGUN else world.objects[k] for world, k in pairs]
         self.fault_filter.ends = Counter(
             {reason: int(n) for reason, n in zip(EndReason, arrays["ends"], strict=True) if n}
         )

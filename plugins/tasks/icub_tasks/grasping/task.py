@@ -318,6 +318,13 @@ class GraspingTask(Task):
                 f"the state is of a grasping task of {worlds} worlds {'with' if 'visual' in state else 'without'} "
                 f"images; this one has {len(self.batch)} {'with' if self._visual is not None else 'without'}"
             )
+        for name, value in self.batch.state_dict().items():
+            given = state.get(f"batch.{name}")
+            if given is None or tuple(given.shape) != value.shape:
+                raise CheckpointError(
+                    f"the state is of another grasping task: '{name}' has shape "
+                    f"{None if given is None else tuple(given.shape)}; expected {value.shape}"
+                )
         arrays = {name: value.numpy() for name, value in state.items() if name != "visual"}
         self.batch.load_state_dict(part(arrays, "batch."))
         for world, pool in enumerate(self.pools):

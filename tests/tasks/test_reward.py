@@ -70,9 +70,9 @@ def test_worlds_do_not_mix_and_the_state_can_be_taken_back():
         np.array([False] * 2),
         np.array([False] * 2),
     )
-    kept = reward.state()
+    kept = reward.state_dict()
     first = reward(*arguments)
     np.testing.assert_allclose(first, [1, 6])
     other = GraspReward(2)
-    other.restore(kept)
+    other.load_state_dict(kept)
     np.testing.assert_array_equal(other(*arguments), first)

@@ -5,19 +5,18 @@ import numpy as np
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from icub_pipelines.context import RunContext
 from tensordict import TensorDict
 
 from icub_core.appearance import random_lights, random_surface
 from icub_core.data import Instance
 from icub_core.geometry import is_rigid
 from icub_core.hooks import Events, listen
+from icub_core.interfaces.task import RUNNING, SUCCESS
 from icub_core.scene import Geom, ObjectSpec
 from icub_pipelines.grasping import Announcer
-from icub_pipelines.images import contact_sheet, draw_instances, save_animation, save_picture
+from icub_pipelines.images import contact_sheet, draw_instances, save_animation, save_image
 from icub_pipelines.report import write_report
 from icub_pipelines.tabletop import scatter, standing_pose
-from icub_tasks.grasping.termination import EndReason
 
 
 def box(name, x, y, z):
@@ -55,7 +54,7 @@ def test_rooms_differ_by_seed_and_repeat_by_seed():
     assert np.sum([light.diffuse for light in lights], axis=0).max() < 1, "lamps do not overexpose"
 
 
-def test_pictures_can_be_read_back(tmp_path):
+def test_images_can_be_read_back(tmp_path):
     mask = np.zeros((60, 80), bool)
     mask[10:30, 20:50] = True
     image = np.full((60, 80, 3), 90, np.uint8)
@@ -64,38 +63,10 @@ def test_pictures_can_be_read_back(tmp_path):
     assert not np.array_equal(drawn[mask], image[mask])
     sheet = contact_sheet([drawn] * 5, columns=4)
     assert sheet.shape == (120, 320, 3)
-    save_picture(tmp_path / "sheet.png", sheet)
+    save_image(tmp_path / "sheet.png", sheet)
     assert np.array_equal(iio.imread(tmp_path / "sheet.png"), sheet)
     save_animation(tmp_path / "video.gif", [image, drawn, image], frames_per_second=10)
     assert len(iio.imread(tmp_path / "video.gif", index=None)) >= 2
-
-
-class Listener:
-    def __init__(self):
-        self.heard = []
-
-    @listen
-    def icub_progress(self, stage, fraction, text):
-        self.heard.append((stage, fraction, text))
-
-    @listen
-    def icub_stage_end(self, stage, seconds):
-        self.heard.append((stage, "end"))
-
-
-def test_context_times_stages_tells_listeners_and_resumes(tmp_path):
-    listener = Listener()
-    context = RunContext(tmp_path, seed=3, events=Events([listener]))
-    with context.stage("teach"):
-        context.progress(0.5, "half")
-    context.record({"segmentation.map50_segm": 0.8})
-    context.remember("see")
-    assert listener.heard == [("teach", 0.5, "half"), ("teach", "end")]
-    resumed = RunContext(tmp_path, seed=3, events=Events())
-    assert not resumed.recall("grasp")
-    assert resumed.recall("see")
-    assert resumed.metrics["segmentation.map50_segm"] == 0.8
-    assert resumed.metrics["teach.seconds"] == resumed.seconds["teach"]
 
 
 class EpisodeListener:
@@ -117,25 +88,17 @@ class EpisodeListener:
 
 def test_listeners_hear_episodes_and_their_steps():
     listener = EpisodeListener()
-    announce = Announcer(Events([listener]), seed=5)
-    for reward, reason in ((0.0, EndReason.RUNNING), (2.0, EndReason.SUCCESS)):
-        step = {"action": torch.zeros(15), "reward": torch.tensor([reward]), "reason": torch.tensor([int(reason)])}
+    announce = Announcer(Events([listener]), 5, ("running", "success", "fell"))
+    for reward, reason in ((0.0, RUNNING), (2.0, SUCCESS)):
+        step = {"action": torch.zeros(15), "reward": torch.tensor([reward]), "reason": torch.tensor([reason])}
         announce.record(3, TensorDict(step, []))
     assert listener.heard == [
         ("start", 3, 5), ("step", 0.0, (15,)), ("step", 2.0, (15,)), ("end", 3, True, 2, "success"),
     ]  # fmt: skip
 
 
-def test_streams_depend_on_seed_and_purpose_only(tmp_path):
-    context = RunContext(tmp_path, seed=3, events=Events())
-    first = context.rng("teach").random()
-    context.rng("see").random()
-    assert context.rng("teach").random() == first
-    assert RunContext(tmp_path, seed=4, events=Events()).rng("teach").random() != first
-
-
 def test_report_is_one_file_with_escaped_text(tmp_path):
-    save_picture(tmp_path / "p.png", np.zeros((4, 4, 3), np.uint8))
+    save_image(tmp_path / "p.png", np.zeros((4, 4, 3), np.uint8))
     write_report(
         tmp_path, "run", {"a": 0.5, "b": 3}, {"teach": 1.0}, [("p", tmp_path / "p.png")], ["<b>note</b>"], "x: 1"
     )

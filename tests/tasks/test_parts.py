@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from icub_core.construct import build
 from icub_core.errors import ConfigError
-from icub_core.geometry import rotation_exp, rotation_log
+from icub_core.geometry import euler_to_matrix, matrix_to_euler, rotation_exp, rotation_log
 from icub_core.interfaces.robot import Robot
 from icub_core.rollouts import EpisodeResults, paired_gain, wilson_interval
-from icub_tasks.grasping.spaces import euler_to_matrix, hand_layout, matrix_to_euler, pose_vector
+from icub_tasks.grasping.spaces import hand_layout, pose_vector
 from icub_tasks.grasping.termination import EndReason, end_reasons
 from icub_tasks.grasping.tracking import HandTracker, small_rotation
 
@@ -43,12 +43,12 @@ def test_the_hand_follows_a_moving_target_to_a_tenth_of_a_millimetre(robot):
     layout = hand_layout(robot.description)
     tracker = HandTracker(robot, layout)
     q = np.tile(robot.description.home_q, (3, 1))
-    targets = np.tile(pose_vector(robot.forward_kinematics(q[0], layout.frame)), (3, 1))
+    targets = np.tile(pose_vector(robot.forward_kinematics(q[0], layout.hand.frame)), (3, 1))
     for _ in range(40):
         targets[:, :3] += [[-0.001, -0.001, -0.001], [0.0, -0.002, 0.0], [0.0, 0.0, -0.002]]
         targets[:, 3:] += 0.003
         errors = tracker.follow(q, targets)
-    reached = np.stack([pose_vector(robot.forward_kinematics(row, layout.frame)) for row in q])
+    reached = np.stack([pose_vector(robot.forward_kinematics(row, layout.hand.frame)) for row in q])
     assert np.abs(reached[:, :3] - targets[:, :3]).max() < 1e-4
     assert np.abs(euler_to_matrix(reached[:, 3:]) - euler_to_matrix(targets[:, 3:])).max() < 1e-3
     assert errors.max() < 1e-3
@@ -60,7 +60,7 @@ def test_tracking_never_leaves_the_joint_limits_and_says_what_it_could_not_do(ro
     layout = hand_layout(robot.description)
     tracker, joints = HandTracker(robot, layout), layout.reach_joints
     q = robot.description.home_q[None].copy()
-    target = pose_vector(robot.forward_kinematics(q[0], layout.frame))[None]
+    target = pose_vector(robot.forward_kinematics(q[0], layout.hand.frame))[None]
     for _ in range(60):
         target += 0.02 * np.array(direction)
         errors = tracker.follow(q, target)

@@ -89,5 +89,5 @@ def test_state_can_be_taken_back():
     guard, other = governor(), governor()
     guard.begin(0, np.array([0.0, 1.0, 0.0]))
     guard.limit(np.array([[1.0, 3.0, 0.2]]))
-    other.restore(guard.state())
+    other.load_state_dict(guard.state_dict())
     np.testing.assert_array_equal(guard.limit(np.array([[1.0, 3.0, 0.2]])), other.limit(np.array([[1.0, 3.0, 0.2]])))

@@ -112,7 +112,7 @@ def test_a_resumed_run_does_not_teach_again(training_image):
     assert after["segmentation.map50_segm"] == before["segmentation.map50_segm"]
 
 
-def test_ctrl_c_ends_cleanly_and_says_how_to_go_on(tmp_path):
+def test_ctrl_c_ends_cleanly_and_says_how_to_resume(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-m", "icub_core.cli", "run", "policy=demonstrations"],
         cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=dict(os.environ),
