@@ -17,18 +17,19 @@ from icub_core.scene import QuatWxyz, Vec3
 class Actuator:
     """A position servo on one joint or on a weighted sum of joints (an under-actuated tendon).
 
-    Its length is sum(coefficients[j] * q[j]) + offset; the command is a length too.
+    Its length is sum(coefficients[j] * q[j]) + offset; the command is a length too. Lengths are radians where the
+    joints turn and meters where they slide.
 
     Attributes:
         name: Unique.
         coefficients: Joint name to weight.
-        kp: Proportional gain, Nm/rad; damping belongs to the joints.
-        range: Lowest and highest command, rad.
-        offset: Added to the weighted sum, rad.
+        kp: Proportional gain, Nm/rad or N/m; damping belongs to the joints.
+        range: Lowest and highest command.
+        offset: Added to the weighted sum.
         open, close: Commands of the open and the closed hand; equal for arm joints, where they mean nothing.
         step: What one control step may at most change the command by, for an actuator of a hand; 0 for an arm's.
-        max_speed: Command change per second that the robot permits, rad/s.
-        max_acceleration: Change of that speed per second, rad/s^2.
+        max_speed: Command change per second that the robot permits.
+        max_acceleration: Change of that speed per second.
     """
 
     name: str
@@ -48,7 +49,8 @@ class Grip:
     """Where a hand holds an object, as a planner needs it.
 
     The grip frame has its origin on the palm's surface, between the opposed fingers: x is the axis along which the
-    hand closes, z the approach axis (out of the palm, towards the object), y completes the right-handed frame.
+    hand closes, z the approach axis (out of the palm, towards the object), y completes the right-handed frame. Where
+    the two sides of the closing differ, the thumb is at negative x and the fingers are at positive x.
 
     Attributes:
         T_hand_grip: (4, 4) pose of the grip frame in the hand's frame.
@@ -56,6 +58,13 @@ class Grip:
         fingers_y: (k,) positions along y at which the fingers close, meters.
         depth: Height above the palm, along z, at which they close, meters.
         sweep: (3, 2) lowest and highest x, y, z that the closing fingers pass through, grip frame, meters.
+        half_axes: Of the ellipsoid that the inside of the closing hand resembles, along x, y and z, meters.
+        yaws: Lowest and highest angle of the x axis about the vertical at which the arm brings the hand to a table in
+            front of the robot, world, rad; the whole circle permits all.
+        mirrored: The hand is the left one of a pair. Planners that draw the poses of a right hand plan for its image
+            in the robot's plane of symmetry (y = 0); `yaws` are those of the image.
+        T_hand_jaw: (4, 4) pose, in the hand's frame, of the parallel jaw that the hand can stand in for: x along its
+            opening, z along its approach. None where this is the grip frame.
     """
 
     T_hand_grip: NDArray[np.float64]
@@ -63,6 +72,10 @@ class Grip:
     fingers_y: NDArray[np.float64]
     depth: float
     sweep: NDArray[np.float64]
+    half_axes: Vec3 = (0.03, 0.03, 0.03)
+    yaws: tuple[float, float] = (0.0, 2 * np.pi)
+    mirrored: bool = False
+    T_hand_jaw: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
