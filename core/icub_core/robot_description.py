@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.scene import QuatWxyz, Vec3
+
+HANDS_SINCE = "0.2"
+"""Version of the interfaces in which `RobotDescription.hands` came."""
+
+_Entry = TypeVar("_Entry")
 
 
 @dataclass(frozen=True)
@@ -146,6 +153,22 @@ class RobotCamera:
     height: int = 480
 
 
+class _OldTable(dict[str, _Entry]):
+    """A table by hand that tells a plugin of version 0.1, which assumes the names of the iCub's hands, what changed."""
+
+    def __missing__(self, name: str) -> _Entry:
+        raise ConfigError(
+            f"the robot has no hand '{name}'; since version {HANDS_SINCE} of the interfaces the name of a hand is any "
+            f"string (here: {', '.join(self)}), and None is the robot's first: description.hand(None)"
+        )
+
+
+def _old(name: str, attribute: str, table: dict[str, _Entry]) -> Mapping[str, _Entry]:
+    text = f"RobotDescription.{name} goes with the next release; use description.hand(name).{attribute}"
+    warnings.warn(text, DeprecationWarning, stacklevel=3)
+    return _OldTable(table)
+
+
 @dataclass(frozen=True, eq=False)
 class RobotDescription:
     """Everything about a robot that is data.
@@ -201,6 +224,21 @@ class RobotDescription:
         if name not in self.hands:
             raise ConfigError(unknown_name(f"hand of robot '{self.name}'", name, self.hands))
         return self.hands[name]
+
+    @property
+    def hand_frames(self) -> Mapping[str, str]:
+        """Frame of each hand; deprecated, use ``hand(name).frame``."""
+        return _old("hand_frames", "frame", {name: hand.frame for name, hand in self.hands.items()})
+
+    @property
+    def hand_actuators(self) -> Mapping[str, tuple[str, ...]]:
+        """Actuators of each hand; deprecated, use ``hand(name).actuators``."""
+        return _old("hand_actuators", "actuators", {name: hand.actuators for name, hand in self.hands.items()})
+
+    @property
+    def fingertips(self) -> Mapping[str, tuple[str, ...]]:
+        """Fingertips of each hand; deprecated, use ``hand(name).fingertips``."""
+        return _old("fingertips", "fingertips", {name: hand.fingertips for name, hand in self.hands.items()})
 
     def reach_group(self, frame: str) -> str:
         """Return the joint group that places a hand's frame; ConfigError for a frame that belongs to no hand."""

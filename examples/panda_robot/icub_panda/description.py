@@ -55,16 +55,17 @@ def describe() -> RobotDescription:
         Actuator(
             joint,
             {joint: 1.0},
-            kp=4000.0 if joint in ARM[:4] else 2000.0,
+            kp=1500.0 if joint in ARM[:4] else 400.0,
             range=(limits[joint]["lower"], limits[joint]["upper"]),
             max_speed=limits[joint]["velocity"],
             max_acceleration=15.0,
         )
         for joint in ARM
     )
-    # one motor for both fingers: its length is their mean; the demonstrations' lead of 1.6 mm makes 40 N a finger
+    # one motor for both fingers: its length is their mean; the demonstrations' lead of 1.6 mm makes the 20 N a finger
+    # that the URDF permits
     motor = Actuator(
-        "panda_gripper", dict.fromkeys(FINGERS, 0.5), kp=50_000.0, range=(0.0, OPEN), open=OPEN, close=0.0, step=0.004
+        "panda_gripper", dict.fromkeys(FINGERS, 0.5), kp=25_000.0, range=(0.0, OPEN), open=OPEN, close=0.0, step=0.004
     )
     gripper = HandDescription(
         name="gripper",
@@ -88,8 +89,9 @@ def describe() -> RobotDescription:
         hands={gripper.name: gripper},
         cameras=(_mast_camera(),),
         dynamics={
-            **dict.fromkeys(ARM[:4], JointDynamics(damping=120.0, stiffness=0.0)),
-            **dict.fromkeys(ARM[4:], JointDynamics(damping=60.0, stiffness=0.0)),
+            # at the efforts of the URDF the joints still reach their speeds against this damping
+            **dict.fromkeys(ARM[:4], JointDynamics(damping=40.0, stiffness=0.0)),
+            **dict.fromkeys(ARM[4:], JointDynamics(damping=8.0, stiffness=0.0)),
             **dict.fromkeys(FINGERS, JointDynamics(damping=1000.0, stiffness=0.0)),
         },
         # rubber: friction that also resists turning about the line between the pads, and holds whatever it touches

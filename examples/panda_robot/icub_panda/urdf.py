@@ -51,7 +51,7 @@ def panda_urdf() -> Path:
 
 
 def _drop_what_only_bullet_knows(root: ET.Element) -> None:
-    """Leave out contact parameters, the frame without a body and its joint, and the couplings: the description has them."""
+    """Leave out contact parameters and couplings, which the description states, and a frame that nothing needs."""
     for element in [*root.findall("link"), *root.findall("joint")]:
         if element.attrib["name"].startswith("panda_grasptarget"):
             root.remove(element)

@@ -1,4 +1,4 @@
-"""A hand as planners see it: in the axes of its grip, and the left one of a pair as the right one of a mirrored world."""
+"""A hand as planners see it: in the axes of its grip; the left one of a pair is the right one of a mirrored world."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def planned_hand(description: RobotDescription, name: str | None = None) -> Plan
     grip: Grip | None = hand.grip
     if grip is None:
         raise ConfigError(
-            f"the hand '{hand.name}' of robot '{description.name}' has no grip; a planner needs one to know where it holds"
+            f"the hand '{hand.name}' of robot '{description.name}' has no grip; planners need to know where it holds"
         )
     R_hand = grip.T_hand_grip[:3, :3].T
     side = np.array([1.0, -1.0 if grip.mirrored else 1.0, 1.0])

@@ -125,7 +125,7 @@ class Reach:
         return bool(clears_table(forearm.at(self._robot.forward_kinematics(q, link)), forearm.radii, self._table))
 
     def _on_one_way(self, grasp: Grasp) -> bool:
-        """Return True if the arm gets from home to the first pre-grasp and from there, without a jump, along the way."""
+        """Return True if the arm gets from home to the first pre-grasp and on from there without a jump."""
         q = self._robot.description.home_q
         group = self._geometry.reach
         for step, offset in enumerate(sorted(WAY, reverse=True)):

@@ -138,7 +138,7 @@ def _nothing() -> Candidates:
 
 
 def _ray_cost(shape: Superquadric, hand: PlannedHand, T: FloatArray) -> FloatArray:
-    """How little the closing fingers find: (C,), 0 when all meet faces square to their motion, 2 when none meets any."""
+    """How little the closing fingers find: (C,), 0 when all meet faces square to their motion, 2 when none does."""
     count, middle = len(hand.fingers), hand.palm[0]
     local = np.zeros((count, _RAY_POINTS, 3))
     local[..., 0] = np.linspace(middle - _RAY, middle + _RAY, _RAY_POINTS)

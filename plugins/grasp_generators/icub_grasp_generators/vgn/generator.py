@@ -114,7 +114,7 @@ class Vgn(GraspGenerator):
         return GraspProposals(grasps, center)
 
     def _networks(self, hand: PlannedHand) -> tuple[VgnNetwork, Meaning, HandJudge | None]:
-        """Return what predicts for a hand: weights of the iCub's hand know no other, which the gripper's network serves."""
+        """Return what predicts for a hand: weights of the iCub's hand know no other; the gripper's are for all."""
         if is_learned(hand) and self._own is not self._gripper:
             return self._own
         if self._gripper is None:
