@@ -81,10 +81,8 @@ def test_it_proposes_for_the_icub_and_warns(old, icub):
 
 
 def test_for_a_robot_of_other_hands_it_stops_with_a_line_that_names_the_version(old):
-    with (
-        pytest.warns(DeprecationWarning),
-        pytest.raises(ConfigError, match=r"hand 'right'; since version 0\.2 .*claw"),
-    ):
+    told = r"hand 'right'; since version 0\.2 .*claw"
+    with pytest.warns(DeprecationWarning, match="hand_frames"), pytest.raises(ConfigError, match=told):
         old.propose(cloud(), TinyRobot(), Table())
 
 
