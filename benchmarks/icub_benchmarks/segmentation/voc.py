@@ -54,7 +54,7 @@ def evaluate_voc(
     therefore the default. The released code's extra pixel in the IoU of inclusive boxes is not repeated.
 
     Args:
-        truth: True instances, one sequence an image; labels outside `classes` are not evaluated.
+        truth: True instances, one sequence per image; labels outside `classes` are not evaluated.
         predictions: Predicted instances, same images, same order.
         classes: What is evaluated.
         rule: See `average_precision`.

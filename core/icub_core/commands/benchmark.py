@@ -32,6 +32,8 @@ def main(arguments: Sequence[str]) -> int:
     try:
         return int(function(rest) or 0)
     except SystemExit as end:
+        if isinstance(end.code, str):
+            sys.stderr.write(f"{end.code}\n")
         return end.code if isinstance(end.code, int) else int(end.code is not None)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from icub_core.cache import cached_text
 from icub_core.errors import ConfigError, unknown_name
-from icub_core.geometry import make_transform
+from icub_core.geometry import make_transform, rotation_about
 from icub_core.robot_description import Actuator, ContactMaterial, Grip, HandDescription, RobotDescription
 from icub_robots import body
 from icub_robots.hand_meshes import hand_shapes
@@ -20,18 +20,32 @@ from icub_robots.urdf import assemble, joint_limits, root_transform
 Coupling = Literal["tendon", "equal_split"]
 WORKSPACE = np.array([[-0.65, -0.45, 0.93], [0.0, 0.55, 1.60]])
 """Lowest and highest hand position, world, meters: in front of the robot, above the table."""
-GRIPS: dict[str, Grip] = {
-    side: Grip(
-        T_hand_grip=make_transform(np.eye(3), [0.033, -0.002, 0.001]),
+YAWS = (np.radians(75.0), np.radians(330.0))
+"""Angles of the right hand's x axis about the vertical at which its arm reaches the table, rad."""
+JAW_TILT = np.pi / 4
+"""A parallel jaw's approach lies between the palm's normal and the fingers (thesis 12.3.1), rad about the hand's y."""
+
+
+def _grip(side: str) -> Grip:
+    """Return where a hand holds: it squeezes along x, thumb against fingers, and the palm looks along z.
+
+    In the right hand's grip y runs from the index finger to the little one. The left hand is the mirror image, whose
+    frame has the palm look along -z.
+    """
+    left = side == "left"
+    y = -1.0 if left else 1.0
+    turn = np.diag([1.0, y, y])
+    return Grip(
+        T_hand_grip=make_transform(turn, [0.033, -0.002, 0.001 * y]),
         width=0.075,  # of an opening of 0.09, of which placing and pose errors take their part
-        fingers_y=np.array([-0.036, -0.008, 0.020, 0.036]),  # index, middle, ring and little finger
-        depth=0.034,
-        sweep=np.array([[-0.020, 0.085], [-0.050, 0.050], [0.0, 0.075]]),
+        fingers_y=y * np.array([-0.034, -0.006, 0.022, 0.038]),  # index, middle, ring and little finger
+        depth=0.033,
+        sweep=np.array([[-0.053, 0.052], [-0.052, 0.048] if left else [-0.048, 0.052], [-0.001, 0.074]]),
+        half_axes=(0.03, 0.06, 0.03),  # thesis 12.3.1
+        yaws=YAWS,
+        mirrored=left,
+        T_hand_jaw=make_transform(turn @ rotation_about("y", JAW_TILT)),
     )
-    for side in SIDES
-}
-"""Where the hand holds: it squeezes along x, thumb against fingers; the palm looks along z; y runs from the index
-finger to the little one."""
 
 
 def describe(
@@ -113,7 +127,7 @@ def _hand(side: str, fingered: Sequence[Hand]) -> HandDescription:
         reach=f"{side}_reach",
         actuators=tuple(a.name for a in hand.actuators) if hand is not None else (),
         fingertips=hand.fingertips if hand is not None else (),
-        grip=GRIPS[side] if hand is not None else None,
+        grip=_grip(side) if hand is not None else None,
         workspace=WORKSPACE,
     )
 

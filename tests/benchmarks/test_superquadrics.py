@@ -1,18 +1,16 @@
-"""The peers of the benchmark: what is missing is one line; EMS is called as its authors call it."""
+"""Baselines of the superquadric fit: what is missing is one line; EMS is called as its authors call it."""
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from icub_benchmarks.grasps import baselines
 from icub_core.errors import ConfigError
 from icub_grasp_generators.synthetic_clouds import single_view
-
-FILE = Path(__file__).parents[2] / "benchmarks" / "icub_benchmarks.grasps.baselines.py"
 
 FAKE = """
 import numpy as np
@@ -28,17 +26,11 @@ def EMS_recovery(points, AdaptiveUpperBound=False):
 """
 
 
-@pytest.fixture
-def baselines(monkeypatch):
-    for name in ("EMS", "EMS.EMS_recovery", "mayavi", "plyfile"):
-        monkeypatch.delitem(sys.modules, name, raising=False)
+@pytest.fixture(autouse=True)
+def _without_ems(monkeypatch):
     monkeypatch.setattr(np, "int", int, raising=False)
     monkeypatch.setattr(sys, "path", list(sys.path))
-    spec = importlib.util.spec_from_file_location("icub_benchmarks.grasps.baselines", FILE)
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "icub_benchmarks.grasps.baselines", module)
-    spec.loader.exec_module(module)
-    yield module
+    yield
     for name in ("EMS", "EMS.EMS_recovery", "mayavi", "plyfile"):
         sys.modules.pop(name, None)
 
@@ -51,18 +43,18 @@ def checkout(folder: Path, text: str) -> Path:
     return folder
 
 
-def test_a_folder_without_ems_is_one_line(baselines, tmp_path):
+def test_a_folder_without_ems_is_one_line(tmp_path):
     with pytest.raises(ConfigError, match="holds no package EMS"):
         baselines.load_ems(tmp_path)
 
 
-def test_a_missing_compiler_is_named(baselines, tmp_path):
+def test_a_missing_compiler_is_named(tmp_path):
     with pytest.raises(ConfigError, match="numba") as caught:
         baselines.load_ems(checkout(tmp_path, "import numba_that_is_not_there"))
     assert "\n" not in str(caught.value)
 
 
-def test_ems_is_called_and_its_failure_counts_as_one(baselines, tmp_path):
+def test_ems_is_called_and_its_failure_counts_as_one(tmp_path):
     fit = baselines.load_ems(checkout(tmp_path, FAKE))
     points = np.random.default_rng(0).normal(size=(50, 3))
     found = fit(points)
@@ -71,7 +63,7 @@ def test_ems_is_called_and_its_failure_counts_as_one(baselines, tmp_path):
     assert np.isnan(fit(points[:5]).center).all()
 
 
-def test_the_scipy_fit_finds_an_ellipsoid_seen_without_outliers(baselines):
+def test_the_scipy_fit_finds_an_ellipsoid_seen_without_outliers():
     view = single_view("ellipsoid", np.random.default_rng(1), outliers=0.0, noise=0.0)
     found = baselines.scipy_fit(view.points)
     assert np.all(np.isfinite(found.half_axes))

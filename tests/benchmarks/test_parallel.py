@@ -1,19 +1,22 @@
 """Evaluation in several processes gives what one process gives, and survives the loss of one."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
+import icub_core as icub
 from icub_benchmarks import parallel
-from icub_benchmarks.parallel import EnvRecipe, evaluate_in_workers
-from icub_core.construct import build
+from icub_benchmarks.parallel import WORKER_LOST, evaluate_in_workers
 from icub_core.rollouts import EpisodeResults, evaluate
-from icub_tasks.grasping.termination import FIRST_FAULT, EndReason
+
+REASONS = ("running", "success", "time_limit")
 
 
 def results_of(episodes):
     n = len(episodes)
     return EpisodeResults(
-        np.ones(n, bool), np.asarray(episodes, float), np.full(n, 9), np.full(n, EndReason.SUCCESS), ("can",) * n
+        np.ones(n, bool), np.asarray(episodes, float), np.full(n, 9), np.ones(n, int), ("can",) * n, REASONS
     )
 
 
@@ -40,20 +43,22 @@ class FlakyWorkers:
 def test_a_lost_worker_costs_one_episode(monkeypatch):
     monkeypatch.setattr(parallel, "Workers", FlakyWorkers)
     FlakyWorkers.asked.clear()
-    results = evaluate_in_workers(EnvRecipe(("can",), worlds=4), "demonstrations", 10, workers=2)
+    results = evaluate_in_workers(icub.make_env, icub.load, 10, num_envs=4, workers=2)
     assert FlakyWorkers.asked == [list(range(10)), [4, 5, 6, 7]]
     assert [e for e in range(10) if not results.success[e]] == [5]
-    assert results.reasons[5] == EndReason.WORKER_LOST >= FIRST_FAULT
+    assert results.ends() == {"success": 9, WORKER_LOST: 1}
+    assert results.faults == 1
     np.testing.assert_array_equal(np.delete(results.returns, 5), [0, 1, 2, 3, 4, 6, 7, 8, 9])
 
 
 @pytest.mark.slow
 def test_the_number_of_workers_does_not_change_the_results():
-    recipe = EnvRecipe(("010_potted_meat_can",), worlds=2)
-    here = evaluate(build("policy", "demonstrations"), recipe.build(), 3, seed=4)
-    there = evaluate_in_workers(recipe, "demonstrations", 3, seed=4, workers=2)
+    make_task = partial(icub.make_env, "grasp", objects=["010_potted_meat_can"])
+    make_policy = partial(icub.load, "policy", "demonstrations")
+    here = evaluate(make_policy(), make_task(num_envs=2), 3, seed=4)
+    there = evaluate_in_workers(make_task, make_policy, 3, seed=4, num_envs=2, workers=2)
     np.testing.assert_array_equal(there.returns, here.returns)
     np.testing.assert_array_equal(there.steps, here.steps)
-    np.testing.assert_array_equal(there.reasons, here.reasons)
+    assert there.ends() == here.ends()
     assert there.objects == here.objects
     assert there.resamples == here.resamples

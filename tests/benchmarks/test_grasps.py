@@ -1,13 +1,13 @@
-"""Grasps are judged: a good one holds in both engines, bad ones fail for the right reason."""
+"""Trials of grasps: a good one holds in both engines, bad ones fail for the right reason."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from icub_benchmarks.grasps.judging import Judge, Pose
+import icub_core as icub
+from icub_benchmarks.grasps.engines import Executor, Pose
 from icub_benchmarks.grasps.validate import Outcome, plan_trial, run_trial
-from icub_core.construct import build
 from icub_core.data import Grasp
 from icub_core.errors import ConfigError
 from icub_core.geometry import make_transform, quat_wxyz_to_matrix
@@ -20,12 +20,12 @@ EACH_ENGINE = ["mujoco", pytest.param("pybullet", marks=pytest.mark.pybullet)]
 
 @pytest.fixture(scope="module")
 def robot():
-    return build("robot", "icub")
+    return icub.load("robot", "icub")
 
 
 @pytest.fixture(scope="module")
 def can():
-    return build("objects", "ycb_primitives").get(NAME)
+    return icub.load("objects", "ycb_primitives").get(NAME)
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +41,9 @@ def grasp(can, standing):
     return Grasp(make_transform(R, top - R @ np.array([0.032, -0.002, 0.006])), standing[:3, 3], 0.0, "by hand")
 
 
-def judged(engine, robot, spec, standing, grasp):
+def outcome_in(engine, robot, spec, standing, grasp):
     trial = plan_trial(robot, grasp, robot.description.home_q)
-    simulator = build("simulator", engine)
+    simulator = icub.load("simulator", engine)
     try:
         simulator.load(robot.description, Scene(objects=(spec,)))
         return run_trial(simulator, robot.description, trial, NAME, standing)
@@ -59,25 +59,25 @@ def moved(grasp, **by):
 
 @pytest.mark.parametrize("engine", EACH_ENGINE)
 def test_a_good_grasp_is_held(engine, robot, can, standing, grasp):
-    assert judged(engine, robot, can, standing, grasp) is Outcome.HELD
+    assert outcome_in(engine, robot, can, standing, grasp) is Outcome.HELD
 
 
 def test_a_grasp_of_air_lifts_nothing(robot, can, standing, grasp):
-    assert judged("mujoco", robot, can, standing, moved(grasp, by=[0.0, 0.16, 0.02])) is Outcome.NOT_LIFTED
+    assert outcome_in("mujoco", robot, can, standing, moved(grasp, by=[0.0, 0.16, 0.02])) is Outcome.NOT_LIFTED
 
 
 @pytest.mark.parametrize("engine", EACH_ENGINE)
-def test_a_grasp_inside_the_table_has_a_outcome(engine, robot, can, standing, grasp):
+def test_a_grasp_inside_the_table_has_an_outcome(engine, robot, can, standing, grasp):
     """The arm presses on the table; nothing breaks and nothing is held."""
     low = moved(grasp, by=[0.0, 0.3, -0.12])
-    assert judged(engine, robot, can, standing, low) in (Outcome.NOT_LIFTED, Outcome.FAULT)
+    assert outcome_in(engine, robot, can, standing, low) in (Outcome.NOT_LIFTED, Outcome.FAULT)
 
 
 def test_a_can_without_friction_slips_out(robot, can, standing, grasp):
     description = robot.description
     slippery = {link: dataclasses.replace(m, friction=(0.01, 0.0, 0.0)) for link, m in description.contacts.items()}
     soap = dataclasses.replace(can, friction=(0.01, 0.0, 0.0), mass=2.0)
-    simulator = build("simulator", "mujoco")
+    simulator = icub.load("simulator", "mujoco")
     simulator.load(dataclasses.replace(description, contacts=slippery), Scene(objects=(soap,)))
     trial = plan_trial(robot, grasp, description.home_q)
     assert run_trial(simulator, description, trial, NAME, standing) in (Outcome.NOT_LIFTED, Outcome.SHAKEN_OFF)
@@ -93,9 +93,9 @@ def test_a_hand_that_the_robot_lacks_is_named(robot, grasp):
         plan_trial(robot, dataclasses.replace(grasp, hand="left"), robot.description.home_q)
 
 
-def test_the_left_hand_is_judged_like_the_right_one(can, standing, grasp):
+def test_the_left_hand_is_planned_like_the_right_one(can, standing, grasp):
     """Mirrored at the robot's plane of symmetry."""
-    left = build("robot", {"plugin": "icub", "hands": ["left"]})
+    left = icub.load("robot", "icub", hands=["left"])
     frame, home = left.description.hand("left").frame, left.description.home_q
     T = make_transform(np.diag([-1.0, 1.0, -1.0]), grasp.T_world_hand[:3, 3] * [1, -1, 1])
     mirrored = dataclasses.replace(grasp, T_world_hand=T, hand="left")
@@ -107,8 +107,7 @@ def test_the_left_hand_is_judged_like_the_right_one(can, standing, grasp):
 
 @pytest.mark.pybullet
 @pytest.mark.slow
-def test_a_generator_s_grasp_is_judged_by_both_engines():
-    judge = Judge("icub", "superquadrics", "ycb_primitives", ENGINES)
-    outcome = judge(Pose(NAME, 0))
-    assert list(outcome.outcomes) == ENGINES
-    assert outcome.outcomes["mujoco"] is Outcome.HELD
+def test_a_generator_s_grasp_is_executed_in_both_engines():
+    result = Executor([], ENGINES)(Pose(NAME, 0))
+    assert list(result.outcomes) == ENGINES
+    assert result.outcomes["mujoco"] is Outcome.HELD

@@ -12,18 +12,19 @@ import numpy as np
 import pytest
 import torch
 
-from icub_benchmarks.segmentation import run as benchmark
+from icub_benchmarks.segmentation import run
 from icub_benchmarks.segmentation.head_clock import heads_share
+from icub_benchmarks.segmentation.methods import Method
 from icub_benchmarks.segmentation.trial import Trial, run_trial
 from icub_benchmarks.segmentation.trial_report import markdown_table, plot_over_time
+from icub_benchmarks.segmentation.trials import Run
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import ConfigError, DataError, NotFittedError
-from icub_core.evaluation.detection import MEAN_NAMES
+from icub_core.evaluation.detection import MEAN_NAMES, DetectionMetrics
 from icub_core.geometry import pinhole
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 from icub_segmenters.heads.linear import Linear
-from icub_segmenters.procedure import Procedure
 
 COLORS = {"red": (200, 20, 20), "green": (20, 200, 20), "blue": (20, 20, 200)}
 
@@ -126,14 +127,10 @@ def test_nothing_to_learn_or_to_examine_is_refused():
 
 
 def trial_with(map50, update_seconds, map70=0.5):
-    from icub_core.evaluation.detection import DetectionMetrics
-
     return Trial(DetectionMetrics(map50, map70, map50, map70), 2.0, update_seconds, {"detection": 0.1}, 0.05, 9, 9)
 
 
 def test_the_benchmark_reports_means_deviations_and_ratios_run_by_run():
-    from icub_benchmarks.segmentation.trials import Run
-
     def runs(*trials):
         return [Run(trial, 0.1) for trial in trials]
 
@@ -142,7 +139,7 @@ def test_the_benchmark_reports_means_deviations_and_ratios_run_by_run():
         ("tabletop", "output_layers"): runs(trial_with(0.70, 100.0), trial_with(0.70, 100.0)),
         ("tabletop", "o_os"): runs(trial_with(0.75, 1.0, 0.49), trial_with(0.75, 1.0, 0.49)),
     }
-    figures = benchmark._figures(measured)
+    figures = run._figures(measured)
     segm = figures["segmentation.tabletop.ours.map50_segm"]
     assert (segm.value, segm.n) == (pytest.approx(0.85), 2)
     assert segm.spread == pytest.approx(0.1 / math.sqrt(2))
@@ -152,14 +149,19 @@ def test_the_benchmark_reports_means_deviations_and_ratios_run_by_run():
     assert figures["segmentation.heads_share"].value == pytest.approx(0.1)
 
 
-def test_a_method_is_a_configuration_and_some_columns_of_the_features():
-    method = benchmark.Method("few", "falkon,segmenter.procedure.jittered_boxes=2,features=0:256")
-    segmenter = method.segmenter(method.config(0, "cpu", "tabletop", Path()))
-    assert segmenter.procedure.jittered_boxes == 2 != Procedure().jittered_boxes
-    assert segmenter.extractor.region_dim == 256
-    wrong = benchmark.Method("wrong", "falkon,segmenter.procedure.jitered_boxes=2")
-    with pytest.raises(ConfigError, match="jitered_boxes"):
-        wrong.config(0, "cpu", "tabletop", Path())
+def test_constants_are_changed_for_one_trial_and_put_back():
+    from icub_segmenters import regions
+
+    method = Method("few", "falkon,icub_segmenters.regions.JITTERED=2,features=0:256")
+    config = method.config(0, "cpu", "tabletop", Path())
+    before = regions.JITTERED
+    with method.segmenter(config) as segmenter:
+        assert regions.JITTERED == 2 != before
+        assert segmenter.extractor.region_dim == 256
+    assert before == regions.JITTERED
+    wrong = Method("wrong", "falkon,icub_segmenters.regions.JITERED=2")
+    with pytest.raises(ConfigError, match="Did you mean 'JITTERED'"), wrong.segmenter(config):
+        pass
 
 
 def test_a_report_has_a_row_a_method_and_a_plot(tmp_path):
@@ -169,9 +171,10 @@ def test_a_report_has_a_row_a_method_and_a_plot(tmp_path):
     assert "| ours | 85.0 ± 7.1 |" in table
     by_rule = {rule: dict.fromkeys(MEAN_NAMES, value) for rule, value in (("11-point", 0.25), ("area", 0.75))}
     known = [replace(trial, voc=by_rule) for trial in trials]
-    both = markdown_table({"ours": known, "older": trials})
-    assert "| ours | 25.0 ± 0.0 | 25.0 ± 0.0 | 25.0 ± 0.0 | 25.0 ± 0.0 | 75.0 ± 0.0 |" in both
-    assert both.count("| older |") == 1
+    by_voc = markdown_table({"ours": known, "older": trials, "mixed": [known[0], trials[1]]}).split("PASCAL VOC")[1]
+    assert "| ours | 25.0 ± 0.0 | 25.0 ± 0.0 | 25.0 ± 0.0 | 25.0 ± 0.0 | 75.0 ± 0.0 |" in by_voc
+    assert by_voc.count("n/a (0 of 2 trials)") == by_voc.count("n/a (1 of 2 trials)") == 8
+    assert by_voc.index("| ours |") < by_voc.index("| older | n/a (0 of 2") < by_voc.index("| mixed | n/a (1 of 2")
     plot_over_time(tmp_path / "plot.png", "title", {"ours": {"ours": trials}, "none": {}})
     assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
 
@@ -190,20 +193,22 @@ def test_the_share_of_the_heads_is_the_time_in_their_decision_functions():
     assert 0 < share < 0.5
 
 
-def test_the_benchmark_names_unknown_tasks_and_methods(capsys):
-    assert benchmark.main(["--tasks", "tabeltop"]) == 1
-    assert "Did you mean 'tabletop'" in " ".join(capsys.readouterr().err.split())
+def test_the_benchmark_names_unknown_tasks_and_methods():
+    with pytest.raises(ConfigError, match="Did you mean 'tabletop'"):
+        run.main(["--tasks", "tabeltop"])
+    with pytest.raises(ConfigError, match="Did you mean 'falkon'"):
+        run.main(["--methods", "falcon"])
 
 
 @pytest.mark.slow
-def test_the_quick_benchmark_measures_the_figures_that_are_to_be_reached_and_goes_on_where_it_stopped(tmp_path):
-    arguments = ["--quick", "--tasks", "tabletop", "--work", str(tmp_path / "work"), "--out", str(tmp_path / "s.json")]
-    assert benchmark.main([*arguments, "--methods", "ours", "o_os"]) == 0
+def test_the_quick_benchmark_measures_the_figures_that_are_to_be_reached_and_resumes(tmp_path):
+    arguments = ["--quick", "--tasks", "tabletop", "--work", str(tmp_path / "work"), "--results", str(tmp_path)]
+    assert run.main([*arguments, "--methods", "ours", "o_os"]) == 0
     trials = {file: file.stat().st_mtime_ns for file in (tmp_path / "work").iterdir()}
-    assert benchmark.main([*arguments, "--methods", "ours", "o_os", "output_layers"]) == 0
+    assert run.main([*arguments, "--methods", "ours", "o_os", "output_layers"]) == 0
     assert all(file.stat().st_mtime_ns == time for file, time in trials.items())
-    figures = json.loads((tmp_path / "s.json").read_text())["figures"]
+    figures = json.loads((tmp_path / "segmentation.json").read_text())["figures"]
     for key in ("speedup_output_layers", "map50_segm_minus_output_layers", "ours_minus_oos", "heads_share"):
         assert math.isfinite(figures[f"segmentation.{key}"]["value"])
-    assert "| output_layers |" in (tmp_path / "s.md").read_text()
-    assert (tmp_path / "s_tabletop.png").is_file()
+    assert "| output_layers |" in (tmp_path / "segmentation.md").read_text()
+    assert (tmp_path / "segmentation_tabletop.png").is_file()

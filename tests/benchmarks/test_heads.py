@@ -6,7 +6,7 @@ from icub_benchmarks.heads import run, sweep
 
 
 def test_the_small_size_measures_every_figure_that_is_to_be_reached(tmp_path):
-    assert run.main(["--quick", "--out", str(tmp_path / "heads.json")]) == 0
+    assert run.main(["--quick", "--results", str(tmp_path)]) == 0
     figures = json.loads((tmp_path / "heads.json").read_text())["figures"]
     for key in ("minibootstrap_speedup", "minibootstrap_map_minus_sklearn", "solve_over_limit", "store_ratio"):
         assert f"heads.{key}" in figures
@@ -24,6 +24,6 @@ def test_a_whole_sweep_is_drawn_and_varies_one_number_at_a_time(tmp_path):
         assert sum(getattr(solve, axis) != getattr(sweep.BASE, axis) for axis in sweep.AXES) <= 1
     columns = ("s", "sklearn_s", "speedup", "map", "map_difference")
     figures = {f"heads.sweep.{solve.key}.{name}": {"value": 1.0} for solve in wanted for name in columns}
-    table, picture = sweep.write_report(tmp_path / "heads_sweep", figures)
+    table, image = sweep.write_report(tmp_path / "heads_sweep", figures)
     assert table.read_text().count("\n| ") == 2 + len(wanted)  # heading and rule
-    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert image.read_bytes().startswith(b"\x89PNG")
