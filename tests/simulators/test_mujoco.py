@@ -118,7 +118,7 @@ def test_an_unknown_graphics_choice_is_one_clear_line(loaded, monkeypatch):
 
 def test_no_graphics_library_names_the_packages(loaded, monkeypatch):
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr("icub_core.gl._library_exists", lambda backend: False)
+    monkeypatch.setattr("icub_support.gl._library_exists", lambda backend: False)
     with pytest.raises(SimulationError, match="apt-get install"):
         loaded.render("head_cam")
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from icub_core.cache import cached_file, content_key
 from icub_core.errors import DataError, SimulationError
 from icub_simulators.decimation import decimate
 from icub_simulators.objects.meshes import read_mesh
+from icub_support.cache import cached_file, content_key
 
 logger = logging.getLogger(__name__)
 
