@@ -124,7 +124,7 @@ def _actuators() -> tuple[Actuator, ...]:
 
 @functools.cache
 def _urdf_file() -> Path:
-    """Write the robot's file once a process; loaders need one on disk."""
+    """Write the robot's file once per process; loaders need one on disk."""
     path = Path(_folder().name) / "tiny.urdf"
     write_text_atomically(path, _urdf())
     return path
@@ -216,7 +216,7 @@ class TinyRobot(Robot):
         return poses
 
     def jacobian(self, q: FloatArray, frame: str) -> FloatArray:
-        """Collect one column a joint of the chain: its axis, and the axis crossed with the arm."""
+        """Collect one column per joint of the chain: its axis, and the axis crossed with the arm."""
         J = np.zeros((6, len(LINKS)))
         tip = self.forward_kinematics(q, frame)[:3, 3]
         T = np.eye(4)
