@@ -1,4 +1,4 @@
-"""Light versions of the body's meshes: software rendering pays for every face."""
+"""Meshes of the body with few faces, since the time of software rendering grows with their number."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from icub_support.cache import cached_file, content_key
 logger = logging.getLogger(__name__)
 
 FACES = 400
-"""Triangles a link: the whole body in about 14,000, visibly faceted in close-ups, clearly the robot at 160 x 120."""
+"""Triangles per link. The whole body has about 14,000: faceted in close-ups, clearly the robot at 160 x 120 pixels."""
 
 
 def decimated(path: Path) -> Path:
