@@ -82,7 +82,7 @@ class Renderer:
     ) -> Rendering:  # fmt: skip
         """Draw the world with its joints and objects at `qpos` as `view` sees it; see the simulator's interface."""
         if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
-            raise SimulationError(f"a image of {width} x {height} was asked for; expected 1 to {_MAX_SIDE} a side")
+            raise SimulationError(f"an image of {width} x {height} was asked for; expected 1 to {_MAX_SIDE} a side")
         self._pose(qpos, parked, None if shadows else view, width / height)
         self._aim(view, width, height)
         rgb, depth = self._draw(PRETTY if shadows else PLAIN, width, height, ids=False)

@@ -50,7 +50,7 @@ class Camera:
     def render(self, view: CameraView, width: int, height: int, segmentation: bool, shadows: bool) -> Rendering:
         """Draw; see the simulator's interface."""
         if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
-            raise SimulationError(f"a image of {width} x {height} pixels; expected 1 to {_MAX_SIDE} a side")
+            raise SimulationError(f"an image of {width} x {height} pixels; expected 1 to {_MAX_SIDE} a side")
         client = self._world.client
         _, _, rgba, raw, codes = client.getCameraImage(
             width, height, _view_matrix(view.T_world_camera), _projection(view.fovy, width, height),
