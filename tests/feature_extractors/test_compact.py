@@ -271,7 +271,7 @@ def test_another_architecture_is_refused(tmp_path):
 
 
 class DrawnTask:
-    """A image with two labeled objects, moved about; no renderer."""
+    """An image with two labeled objects, moved about; no renderer."""
 
     label_count = 2
 
