@@ -8,7 +8,7 @@ TensorDict, scripted policy) from the pre-grasp pose to the end of the episode. 
 the environment takes above the physics steps it contains, as a share of them; the policy is not part of it. Processor
 time of one thread; the starts are planned beforehand.
 
-`sim.scaling_2`: control steps per second of wall time of two processes at once (`icub_benchmarks.workers`) over those of one;
+`sim.scaling_2`: control steps per second of wall time of two processes at once (`icub_benchmarks.workers`) over one's;
 `sim.scaling_2_limit`: the same of nothing but physics steps, in the engine's own loop: what the machine allows, with
 whatever else runs on it; `sim.scaling_2_threads`: of one environment whose worlds two threads step over the same with
 one thread.
