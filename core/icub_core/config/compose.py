@@ -117,13 +117,14 @@ def check(config: DictConfig, read: Collection[str] = ()) -> None:
             asked.add(dependency.name)
             if dependency.required and dependency.name in KINDS and config.get(dependency.name) is None:
                 raise missing_dependency(kind, name, dependency.name)
-    # the stages of a run see the simulated world, so a data set would be ignored
-    if config.get("dataset") is not None and "dataset" not in asked:
-        name, _ = split_config("dataset", config.dataset)
-        raise ConfigError(
-            f"dataset={name} is set, but nothing in this run reads a data set; leave it out: "
-            "data sets are for benchmarks and programs"
-        )
+    # the stages of a run see the simulated world, so recorded data would be ignored
+    for kind, what in (("dataset", "data set"), ("episodes", "recorded episode")):
+        if config.get(kind) is not None and kind not in asked:
+            name, _ = split_config(kind, config[kind])
+            raise ConfigError(
+                f"{kind}={name} is set, but nothing in this run reads a {what}; leave it out: "
+                f"{what}s are for benchmarks and programs"
+            )
 
 
 @contextmanager
