@@ -4,7 +4,7 @@
     python docs/make_pictures.py robot hands             # some
     python docs/make_pictures.py main_job --run runs/X   # from the folder of a run that was done before
 
-They lie in docs/images: PNGs of at most 150 kB, one GIF of at most 1.5 MB. docs/images holds how each is made.
+They lie in docs/images: PNGs of at most 150 kB, one GIF of at most 1.5 MB. docs/pictures holds how each is made.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent / "images"))
+sys.path.insert(0, str(Path(__file__).parent / "pictures"))
 
 from grasping import grasp, grasps, superquadric
 from seeing import corrected, datasets, feature_task, main_job
 from simulated import cameras, hands, objects, robot
 from studio import FOLDER
 
-from icub_core.gl import choose_backend
+from icub_support.gl import choose_backend
 
 FROM_RUNS = {"main_job": main_job, "corrected": corrected}
 PICTURES: dict[str, Callable[[], None]] = {

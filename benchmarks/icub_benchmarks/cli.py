@@ -1,17 +1,22 @@
-"""How long the command line takes to answer, as whole processes: python benchmarks/cli.py."""
+"""Time in which the command line answers, as whole processes.
+
+    icub benchmark cli
+    icub benchmark cli --repetitions 5
+
+The first call of each command, which reads files from the disk, does not count.
+"""
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import subprocess
 import sys
 import time
-from pathlib import Path
+from collections.abc import Sequence
 
-from icub_core.evaluation.results import Figure, write_results
+from icub_benchmarks.figures import Figure
+from icub_benchmarks.results import command_line, make_parser, write_figures
 
-RESULTS = Path(__file__).resolve().parent / "results" / "cli.json"
 COMMANDS = {"cli.help_s": ["--help"], "cli.plugins_list_s": ["plugins", "list"]}
 
 
@@ -22,20 +27,16 @@ def seconds(words: list[str]) -> float:
     return time.perf_counter() - start
 
 
-def main() -> None:
-    """Measure, print and write benchmarks/results/cli.json."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def main(argv: Sequence[str]) -> None:
+    """Measure, print and write cli.json."""
+    parser = make_parser("cli", __doc__)
     parser.add_argument("--repetitions", type=int, default=20)
-    repetitions = parser.parse_args().repetitions
+    options = parser.parse_args(argv)
     figures = {}
     for key, words in COMMANDS.items():
-        seconds(words)  # the first one reads files from the disk
-        times = sorted(seconds(words) for _ in range(repetitions))
+        seconds(words)
+        times = sorted(seconds(words) for _ in range(options.repetitions))
         median = statistics.median(times)
-        figures[key] = Figure(median, "s", (times[0], times[-1]), repetitions)
+        figures[key] = Figure(median, "s", (times[0], times[-1]), options.repetitions)
         print(f"{key}: median {median:.3f} s, {times[0]:.3f} to {times[-1]:.3f} s")
-    write_results(RESULTS, command="python benchmarks/cli.py", seed=0, figures=figures)
-
-
-if __name__ == "__main__":
-    main()
+    write_figures(options.results / "cli.json", figures, command=command_line("cli", argv))

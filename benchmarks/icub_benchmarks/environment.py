@@ -1,13 +1,14 @@
 """Speed of the grasping environment over whole scripted episodes, one core, without rendering.
 
-    python benchmarks/environment.py
+    icub benchmark environment
+    icub benchmark environment --only speed --worlds 8 --repeats 1
 
 `sim.env_steps_per_s`: control steps of 25 ms (five physics steps, inverse kinematics, governor, observation, reward,
 TensorDict, scripted policy) from the pre-grasp pose to the end of the episode. `sim.task_overhead`: what one step of
 the environment takes above the physics steps it contains, as a share of them; the policy is not part of it. Processor
 time of one thread; the starts are planned beforehand.
 
-`sim.scaling_2`: control steps a second of wall time of two processes at once (`icub_core.workers`) over those of one;
+`sim.scaling_2`: control steps per second of wall time of two processes at once (`icub_benchmarks.workers`) over one's;
 `sim.scaling_2_limit`: the same of nothing but physics steps, in the engine's own loop: what the machine allows, with
 whatever else runs on it; `sim.scaling_2_threads`: of one environment whose worlds two threads step over the same with
 one thread.
@@ -23,21 +24,19 @@ import argparse
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import torch
-from icub_tasks.grasping.env import GraspEnv
 from rich.console import Console
 from rich.progress import track
 
-from icub_core.construct import build
-from icub_core.evaluation.results import Figure, write_results
-from icub_core.scene import Scene
-from icub_core.workers import Workers
-from icub_tasks.grasping.task import GraspTask, StartState
+import icub_core as icub
+from icub_benchmarks.figures import Figure
+from icub_benchmarks.results import command_line, make_parser, write_figures
+from icub_benchmarks.workers import Workers
+from icub_tasks.grasping.task import GraspingTask
+from icub_tasks.grasping.world import StartState
 
-RESULTS = Path(__file__).resolve().parent / "results" / "simulation.json"
 OBJECTS = ["004_sugar_box", "006_mustard_bottle", "010_potted_meat_can"]
 
 
@@ -57,22 +56,24 @@ class Clock:
         return answer
 
 
-def build(name: str, worlds: int, seed: int, threads: int = 1) -> tuple[GraspEnv, list[StartState]]:
-    """Return an environment with one object, and a planned start for each of its worlds."""
-    robot, generator = build("robot", "icub"), build("grasp_generator", "superquadrics")
-    spec = build("objects", "ycb_primitives").get(name)
-    tasks = []
-    for world in range(worlds):
-        simulator = build("simulator", "mujoco")
-        simulator.load(robot.description, Scene(objects=(spec,)))
-        tasks.append(GraspTask(simulator, robot, generator, [name], seed=seed + world))
-    starts = [task.prepare() for task in track(tasks, description=f"plans for {name}", transient=True)]
-    return GraspEnv(tasks, threads=threads), starts
+def prepare(name: str, worlds: int, seed: int) -> tuple[GraspingTask, list[StartState]]:
+    """Return a task with one object, and a planned start for each of its worlds."""
+    env = make_task(name, worlds, seed)
+    starts = [world.prepare() for world in track(env.worlds, description=f"plans for {name}", transient=True)]
+    return env, starts
 
 
-def play(env: GraspEnv, starts: Sequence[StartState], clock: Callable[[], float]) -> tuple[int, float, float]:
+def make_task(name: str, worlds: int, seed: int, threads: int = 1) -> GraspingTask:
+    """Return a task with one object."""
+    made = icub.make_env("grasp", objects=[name], num_envs=worlds, threads=threads, seed=seed)
+    assert isinstance(made, GraspingTask)
+    return made
+
+
+def play(env: GraspingTask, starts: Sequence[StartState], clock: Callable[[], float]) -> tuple[int, float, float]:
     """Play every start to its end; returns control steps, seconds, and those of them inside the environment."""
-    teacher = build("policy", "demonstrations")
+    script = icub.load("policy", "demonstrations")
+    script.bind(env)
     for world, start in enumerate(starts):
         env.begin(world, start)
     observation = env.observe()
@@ -80,7 +81,7 @@ def play(env: GraspEnv, starts: Sequence[StartState], clock: Callable[[], float]
     active = [True] * len(starts)
     begun = clock()
     while any(active):
-        observation["action"] = teacher.act(observation)
+        observation["action"] = script.act(observation)
         before = clock()
         observation = env.advance(observation, active)
         in_env += clock() - before
@@ -92,8 +93,8 @@ def play(env: GraspEnv, starts: Sequence[StartState], clock: Callable[[], float]
 
 def measure(name: str, worlds: int, seed: int) -> tuple[float, float, int]:
     """Return steps per second of whole episodes, the overhead share, and the control steps measured."""
-    env, starts = build(name, worlds, seed)
-    physics = Clock(env.batch, "simulate")  # once a control step of all worlds: watching takes no time to speak of
+    env, starts = prepare(name, worlds, seed)
+    physics = Clock(env.batch, "simulate")  # once per control step of all worlds: the clock itself takes no time
     steps, total, in_env = play(env, starts, time.thread_time)
     env.close()
     return steps / total, in_env / physics.seconds - 1.0, steps
@@ -104,7 +105,7 @@ class Player:
 
     def __init__(self, name: str, worlds: int) -> None:
         torch.set_num_threads(1)
-        self._env, self._starts = build(name, worlds, seed=0)
+        self._env, self._starts = prepare(name, worlds, seed=0)
 
     def __call__(self, repeats: int) -> int:
         """Play `repeats` times; returns the control steps."""
@@ -115,8 +116,8 @@ class Stepper:
     """Does nothing but physics steps of one world, in the engine's loop. Lives in a worker process."""
 
     def __init__(self, name: str) -> None:
-        env, (start,) = build(name, 1, seed=0)
-        self._simulator, self._start = env.batch.tasks[0].simulator, start
+        env, (start,) = prepare(name, 1, seed=0)
+        self._simulator, self._start = env.simulator(0), start
 
     def __call__(self, repeats: int) -> int:
         """Step `repeats` times 4000 steps from the same start; returns the steps."""
@@ -137,7 +138,9 @@ def timed(workers: Workers[int, int], jobs: Sequence[int]) -> float:
 def scaling(options: argparse.Namespace) -> dict[str, Figure]:
     """Measure two processes against one, and two threads against one, turn by turn."""
     name, worlds = options.objects[0], options.worlds // 2
-    processes, limits, threads = [], [], []
+    processes: list[float] = []
+    limits: list[float] = []
+    threads: list[float] = []
     with Workers(partial(Player, name, worlds), 2) as players, Workers(partial(Stepper, name), 2) as steppers:
         players.map([1, 1])  # both are set up
         steppers.map([1, 1])
@@ -145,12 +148,13 @@ def scaling(options: argparse.Namespace) -> dict[str, Figure]:
             for workers, jobs, ratios in ((players, 2, processes), (steppers, 10, limits)):
                 alone = timed(workers, [jobs])
                 ratios.append(timed(workers, [jobs, jobs]) / alone)
-    single, starts = build(name, worlds, seed=0)
-    double = GraspEnv(single.batch.tasks, threads=2)
+    single, starts = prepare(name, worlds, seed=0)
+    double = make_task(name, worlds, seed=0, threads=2)
     for _ in track(range(options.repeats * 3), description="one and two threads", transient=True):
         steps, alone, _ = play(single, starts, time.perf_counter)
         more, together, _ = play(double, starts, time.perf_counter)
         threads.append(more / together / (steps / alone))
+    single.close()
     double.close()
     return {
         key: Figure(float(np.median(values)), "1", float(np.std(values)), len(values))
@@ -162,16 +166,15 @@ def scaling(options: argparse.Namespace) -> dict[str, Figure]:
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(argv: Sequence[str]) -> None:
+    """Measure, print and write simulation.json."""
+    parser = make_parser("environment", __doc__)
     parser.add_argument("--objects", nargs="+", default=OBJECTS)
     parser.add_argument("--only", choices=["speed", "scaling"], help="measure this part alone")
     parser.add_argument("--worlds", type=int, default=32)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(argv)
     torch.set_num_threads(1)
     figures: dict[str, Figure] = {}
     if options.only != "scaling":
@@ -185,12 +188,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         figures["sim.task_overhead"] = Figure(float(overheads.mean()), "1", float(overheads.std()), int(steps.sum()))
     if options.only != "speed":
         figures |= scaling(options)
-    only = f" --only {options.only}" if options.only else ""
-    command = f"python benchmarks/environment.py{only}"
-    write_results(options.results, command=command, seed=options.seed, figures=figures)
     for key, figure in figures.items():
         Console().print(f"{key}: {figure.value:.4g} +- {figure.spread:.2g}")
-
-
-if __name__ == "__main__":
-    main()
+    command = command_line("environment", argv)
+    write_figures(options.results / "simulation.json", figures, command=command, seed=options.seed)

@@ -1,7 +1,7 @@
-"""The shipped feature extractor: quality on the FEATURE-TASK, proposals on new objects, time a frame.
+"""The shipped feature extractor: quality on the FEATURE-TASK, proposals on new objects, time per frame.
 
 Proposals on new objects are measured twice: the extractor's own, and those of on-line region proposal networks (one for
-all anchor types of a cell, and Algorithm 2 with one an anchor type), which are taught frames of these objects.
+all anchor types of a cell, and Algorithm 2 with one per anchor type), which are taught frames of these objects.
 
     icub benchmark features
     icub benchmark features --frames 300 --new-frames 200
@@ -11,23 +11,21 @@ Rendered frames are kept in the user's cache folder and made when they are missi
 
 from __future__ import annotations
 
-import argparse
-import shlex
 import statistics
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rich.progress import Progress
+from rich.progress import Progress, TaskID
 
-from icub_core.evaluation.results import Figure, write_results
+from icub_benchmarks.figures import Figure
+from icub_benchmarks.results import command_line, make_parser, write_figures
+from icub_core.construct import build
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
-from icub_core.registry import load
 from icub_segmenters.faithful_rpn import FaithfulRpn
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
 from icub_segmenters.feature_extractors.evaluation import feature_task_precision, proposal_recall
@@ -35,7 +33,6 @@ from icub_segmenters.minibootstrap import Minibootstrap
 from icub_segmenters.online_rpn import OnlineRpn, cells_of, with_proposals
 from icub_segmenters.shared_rpn import SharedRpn
 
-RESULTS = Path(__file__).resolve().parent / "results" / "features.json"
 NEW_OBJECTS = "rendered_tabletop"
 WAYS: dict[str, type[OnlineRpn]] = {"online_rpn": SharedRpn, "online_rpn_faithful": FaithfulRpn}
 
@@ -80,7 +77,7 @@ def taught_rpns(
     extractor: FeatureExtractor, data: Dataset, progress: Callable[[float], None]
 ) -> tuple[dict[str, OnlineRpn], dict[str, float]]:
     """Return on-line networks that were taught all frames of `data`, and the seconds of their training."""
-    rpns = {name: way(lambda: load("online_head", "falkon")(), Minibootstrap()) for name, way in WAYS.items()}
+    rpns = {name: way(lambda: build("online_head", "falkon"), Minibootstrap()) for name, way in WAYS.items()}
     for number, (frame, instances) in enumerate(data):
         features = extractor.extract(frame.rgb)
         cells = cells_of(extractor, features)
@@ -96,20 +93,24 @@ def taught_rpns(
     return rpns, times
 
 
-def main() -> None:
-    """Measure and write benchmarks/results/features.json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def share_of(progress: Progress, line: TaskID) -> Callable[[float], None]:
+    """Return a callback that shows a share in a line."""
+    return lambda share: progress.update(line, completed=share)
+
+
+def main(argv: Sequence[str]) -> None:
+    """Measure and write features.json."""
+    parser = make_parser("features", __doc__)
     parser.add_argument("--weights", default="compact")
     parser.add_argument("--frames", type=int, default=400, help="validation frames of the FEATURE-TASK")
     parser.add_argument("--new-frames", type=int, default=100, help=f"test frames of {NEW_OBJECTS}")
     parser.add_argument("--taught-frames", type=int, default=160, help="frames the on-line networks learn from")
     parser.add_argument("--data", type=Path, help="folder of the FEATURE-TASK's frames")
-    parser.add_argument("--out", type=Path, default=RESULTS)
-    options = parser.parse_args()
+    options = parser.parse_args(argv)
     torch.set_num_threads(1)
     extractor = CompactMaskRcnn(options.weights)
-    known = load("dataset", "feature_task")(path=options.data, split="validation", frames=options.frames)
-    new = load("dataset", NEW_OBJECTS)(split="test", frames=options.new_frames)
+    known = build("dataset", "feature_task", path=options.data, split="validation", frames=options.frames)
+    new = build("dataset", NEW_OBJECTS, split="test", frames=options.new_frames)
     figures: dict[str, Figure] = {}
     with Progress() as progress:
         task = progress.add_task("rendering", total=None)
@@ -120,17 +121,15 @@ def main() -> None:
             ("proposals of new objects", "new_objects", proposal_recall, new, options.new_frames),
         ):
             task = progress.add_task(title, total=1.0)
-            found = measure(extractor, data, count, lambda share, task=task: progress.update(task, completed=share))
+            found = measure(extractor, data, count, share_of(progress, task))
             figures |= {f"{prefix}.{key}": Figure(value, "1", n=count) for key, value in found.items()}
         task = progress.add_task("teaching on-line networks", total=1.0)
-        training_images = load("dataset", NEW_OBJECTS)(split="train", frames=options.taught_frames)
-        rpns, times = taught_rpns(extractor, training_images, lambda share: progress.update(task, completed=share))
+        training_images = build("dataset", NEW_OBJECTS, split="train", frames=options.taught_frames)
+        rpns, times = taught_rpns(extractor, training_images, share_of(progress, task))
         for name, rpn in rpns.items():
             task = progress.add_task(f"their proposals: {name}", total=1.0)
             own = WithProposals(extractor, rpn)
-            found = proposal_recall(
-                own, new, options.new_frames, lambda share, task=task: progress.update(task, completed=share)
-            )
+            found = proposal_recall(own, new, options.new_frames, share_of(progress, task))
             figures |= {f"{name}.{key}": Figure(value, "1", n=options.new_frames) for key, value in found.items()}
             figures[f"{name}.train_s"] = Figure(times[name], "s")
     image = np.asarray(known[0][0].rgb)
@@ -140,10 +139,4 @@ def main() -> None:
         "features.regions_100_ms": milliseconds(lambda: extractor.region_features(features, features.proposals), 40),
         "features.masks_5_ms": milliseconds(lambda: extractor.mask_features(features, features.proposals[:5]), 40),
     }
-    command = shlex.join(["icub", "benchmark", "features", *sys.argv[1:]])
-    write_results(options.out, command=command, seed=0, figures=figures)
-    print(f"written: {options.out}")
-
-
-if __name__ == "__main__":
-    main()
+    write_figures(options.results / "features.json", figures, command=command_line("features", argv))

@@ -1,10 +1,10 @@
 """Success of the grasping policies on poses planned from the camera's cloud.
 
-    python benchmarks/grasping.py
-    python benchmarks/grasping.py --only resprect --objects 003_cracker_box --seconds 150 --learning-seeds 0
-    python benchmarks/grasping.py --only resprect --env-steps 28000      # the same on a slow or busy machine
+    icub benchmark grasping
+    icub benchmark grasping --only resprect --objects 003_cracker_box --seconds 150 --learning-seeds 0
+    icub benchmark grasping --only resprect --env-steps 28000            # the same on a slow or busy machine
 
-`demonstrations`: the scripted teacher on sugar box, mustard bottle and potted meat can. `base`: the shipped base policy
+`demonstrations`: the scripted policy on sugar box, mustard bottle and potted meat can. `base`: the shipped base policy
 on every object. `resprect`: that policy and what RESPRECT makes of it within its budget, on the same test starts, which
 neither learning nor the choice of the best residual has seen.
 """
@@ -22,70 +22,64 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from icub_tasks.grasping.env import GraspEnv
 from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 
-from icub_core.construct import build
-from icub_core.evaluation.results import Figure, write_results
+import icub_core as icub
+from icub_benchmarks.figures import Figure
+from icub_benchmarks.results import command_line, make_parser, work_folder, write_figures
+from icub_benchmarks.statistics import merge, paired_gain
 from icub_core.files import write_text_atomically
+from icub_core.interfaces.abilities import Learns
 from icub_core.interfaces.policy import LearnReport, Policy
-from icub_core.rollouts import EpisodeResults, merge, paired_gain, run_episodes
-from icub_core.scene import Scene
-from icub_tasks.grasping.task import GraspTask, StartState
+from icub_core.interfaces.task import Start, Task
+from icub_core.rollouts import EpisodeResults, run_episodes
 
-RESULTS = Path(__file__).resolve().parent / "results" / "grasping.json"
 EASY = ["004_sugar_box", "006_mustard_bottle", "010_potted_meat_can"]
-WORK = Path("runs/benchmarks/grasping")
 HARD = ["003_cracker_box", "021_bleach_cleanser", "035_power_drill"]
 """Objects on which the shipped base policy stays under 0.9: see `base`."""
 TEST_SEED = 1_000
+STARTS = 16
+"""Planned starts that each world keeps while a policy learns."""
 BASE = "base_gpayn"
 LEARNING_SEEDS = [0, 1, 2]
 
 
-def build_env(name: str, worlds: int, threads: int, seed: int) -> GraspEnv:
-    """Return worlds with one YCB object each."""
-    robot = build("robot", "icub")
-    generator = build("grasp_generator", "superquadrics")
-    spec = build("objects", "ycb_primitives").get(name)
-    tasks = []
-    for world in range(worlds):
-        simulator = build("simulator", "mujoco")
-        simulator.load(robot.description, Scene(objects=(spec,)))
-        tasks.append(GraspTask(simulator, robot, generator, [name], seed=seed + world))
-    return GraspEnv(tasks, pool_size=16, threads=threads, seed=seed)
+def make_task(name: str, options: argparse.Namespace, seed: int) -> Task:
+    """Return worlds with one object each."""
+    return icub.make_env(
+        "grasp", objects=[name], num_envs=options.worlds, starts=STARTS, threads=options.threads, seed=seed
+    )
 
 
 class Tests:
-    """Test starts of one environment, planned once, each from its own image."""
+    """Test starts of one task, planned once, each from its own image."""
 
-    def __init__(self, env: GraspEnv, episodes: int, bar: Progress) -> None:
-        self._env, self._episodes, self._bar = env, episodes, bar
-        tasks = env.batch.tasks
-        before = sum(sum(task.plan_failures.values()) for task in tasks)
-        self._starts: list[StartState] = []
-        name = tasks[0].objects[0]
-        for episode in bar.track(range(episodes), description=f"plans for {name}"):
+    def __init__(self, task: Task, episodes: int, bar: Progress) -> None:
+        self._task, self._episodes, self._bar = task, episodes, bar
+        before = task.resamples
+        self._starts: list[Start] = []
+        for episode in bar.track(range(episodes), description=f"plans for {task.objects[0]}"):
             rng = np.random.default_rng([TEST_SEED, episode])
-            self._starts.append(tasks[episode % len(tasks)].prepare(rng))
-        self.resamples = sum(sum(task.plan_failures.values()) for task in tasks) - before
+            self._starts.append(task.draw(episode % task.batch_size[0], rng))
+        self.resamples = task.resamples - before
 
     def __call__(self, policy: Policy, title: str) -> EpisodeResults:
         """Evaluate a policy on all of them."""
         starts = self._starts
         return run_episodes(
             policy,
-            self._env,
+            self._task,
             self._episodes,
             lambda world, episode: starts[episode],
-            progress=shown_in(self._bar, title),
+            progress=line_of(self._bar, title),
         )
 
 
-def shown_in(bar: Progress, title: str) -> Callable[[float, str], None]:
+def line_of(bar: Progress, title: str) -> Callable[[float, str], None]:
     """Return a progress callback with a line of its own."""
     line = bar.add_task(title, total=1.0)
     return lambda share, text: bar.update(line, completed=share, description=f"{title}: {text}")
@@ -97,16 +91,16 @@ def rate(results: EpisodeResults) -> Figure:
 
 
 def demonstrations(options: argparse.Namespace, bar: Progress) -> dict[str, Figure]:
-    """Measure the scripted teacher on the easy objects."""
+    """Measure the scripted policy on the easy objects."""
     figures, everything, resamples = {}, [], 0
     for name in options.objects or EASY:
-        env = build_env(name, options.worlds, options.threads, options.seed)
-        tests = Tests(env, options.episodes, bar)
-        results = tests(build("policy", "demonstrations"), f"demonstrations, {name}")
+        task = make_task(name, options, options.seed)
+        tests = Tests(task, options.episodes, bar)
+        results = tests(icub.load("policy", "demonstrations"), f"demonstrations, {name}")
         figures[f"demonstrations.success_rate.{name}"] = rate(results)
         everything.append(results)
         resamples += tests.resamples
-        env.close()
+        task.close()
     together = merge(everything)
     figures["demonstrations.success_rate"] = rate(together)
     poses = resamples + len(together)
@@ -117,12 +111,12 @@ def demonstrations(options: argparse.Namespace, bar: Progress) -> dict[str, Figu
 def base(options: argparse.Namespace, bar: Progress) -> dict[str, Figure]:
     """Measure the shipped base policy on every object: where it stays under 0.9 there is something to gain."""
     figures = {}
-    for name in options.objects or build("objects", "ycb_primitives").names:
-        env = build_env(name, options.worlds, options.threads, options.seed)
-        tests = Tests(env, options.episodes, bar)
-        policy = build("policy", {"plugin": "gpayn", "weights": BASE})
+    for name in options.objects or icub.load("objects", "ycb_primitives").names:
+        task = make_task(name, options, options.seed)
+        tests = Tests(task, options.episodes, bar)
+        policy = icub.load("policy", "gpayn", weights=BASE)
         figures[f"base.success_rate.{name}"] = rate(tests(policy, f"base, {name}"))
-        env.close()
+        task.close()
     return figures
 
 
@@ -166,43 +160,41 @@ class Outcome:
     report: LearnReport
 
     def write(self, path: Path) -> None:
-        """Keep it as JSON."""
+        """Write it as JSON."""
         parts = {name: dataclasses.asdict(getattr(self, name)) for name in ("frozen", "learned", "report")}
         write_text_atomically(path, json.dumps(parts, default=lambda array: array.tolist()))
 
     @classmethod
     def read(cls, path: Path) -> Outcome:
-        """Take back what `write` kept."""
+        """Read what `write` wrote."""
         parts = json.loads(path.read_text())
-        results = [_results(**parts[name]) for name in ("frozen", "learned")]
-        return cls(results[0], results[1], LearnReport(**parts["report"]))
+        return cls(_results(parts["frozen"]), _results(parts["learned"]), LearnReport(**parts["report"]))
 
 
-def _results(
-    success: list[bool], returns: list[float], steps: list[int], reasons: list[int], objects: list[str], resamples: int
-) -> EpisodeResults:
-    return EpisodeResults(
-        np.array(success), np.array(returns), np.array(steps), np.array(reasons), tuple(objects), resamples
-    )
+def _results(content: dict[str, Any]) -> EpisodeResults:
+    arrays = {name: np.array(content[name]) for name in ("success", "returns", "steps", "reasons")}
+    names: dict[str, Any] = {name: tuple(content[name]) for name in ("objects", "reason_names") if name in content}
+    return EpisodeResults(**(content | arrays | names))
 
 
 def learn_and_test(name: str, seed: int, options: argparse.Namespace, bar: Progress) -> Outcome:
-    """Learn one object with one seed and test; a learning that was interrupted goes on, a finished one is read."""
+    """Learn one object with one seed and test; an interrupted learning is resumed, a finished one is read."""
     spent = f"{options.seconds:g}s" if options.env_steps is None else f"{options.env_steps}steps"
     folder = options.work / f"{name}_{spent}_seed{seed}"
     path = folder / f"outcome_{options.episodes}.json"
     if path.exists():
         return Outcome.read(path)
-    env = build_env(name, options.worlds, options.threads, seed)
+    task = make_task(name, options, seed)
     seconds = options.seconds if options.env_steps is None else None
     budget = {"seconds": seconds, "env_steps": options.env_steps, "seed": seed}
-    policy = build("policy", {"plugin": "resprect", "base": BASE, **budget})
+    policy: Policy = icub.load("policy", "resprect", base=BASE, **budget)
+    assert isinstance(policy, Learns)
     folder.mkdir(parents=True, exist_ok=True)
-    report = policy.learn(env, folder, shown_in(bar, f"resprect learns {name}, seed {seed}"))
-    tests = Tests(env, options.episodes, bar)
-    frozen = tests(build("policy", {"plugin": "gpayn", "weights": BASE}), f"base, {name}")
+    report = policy.learn(task, folder, line_of(bar, f"resprect learns {name}, seed {seed}"))
+    tests = Tests(task, options.episodes, bar)
+    frozen = tests(icub.load("policy", "gpayn", weights=BASE), f"base, {name}")
     outcome = Outcome(frozen, tests(policy, f"resprect, {name}, seed {seed}"), report)
-    env.close()
+    task.close()
     outcome.write(path)
     return outcome
 
@@ -210,9 +202,9 @@ def learn_and_test(name: str, seed: int, options: argparse.Namespace, bar: Progr
 PARTS = {"demonstrations": demonstrations, "base": base, "resprect": resprect}
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(argv: Sequence[str]) -> None:
+    """Measure, print and write grasping.json, part by part."""
+    parser = make_parser("grasping", __doc__)
     parser.add_argument("--only", choices=sorted(PARTS), help="measure this part alone")
     parser.add_argument("--objects", nargs="+", help="YCB objects instead of the part's own")
     parser.add_argument("--episodes", type=int, default=100)
@@ -222,24 +214,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--env-steps", type=int, help="budget of resprect in control steps instead: repeatable")
     parser.add_argument("--learning-seeds", type=int, nargs="+", default=LEARNING_SEEDS, help="of resprect")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--work", type=Path, default=WORK, help="folder of the learnings; interrupted ones go on there")
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    options = parser.parse_args(arguments)
+    parser.add_argument(
+        "--work", type=Path, default=work_folder("grasping"), help="folder of the learnings; interrupted ones resume"
+    )
+    options = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    command = "python benchmarks/grasping.py"
     for name in PARTS if options.only is None else [options.only]:
         with Progress(*Progress.get_default_columns(), TimeElapsedColumn()) as bar:
             figures = PARTS[name](options, bar)
-        objects = f" --objects {' '.join(options.objects)}" if options.objects else ""
-        objects += f" --env-steps {options.env_steps}" if options.env_steps is not None else ""
-        if options.learning_seeds != LEARNING_SEEDS:
-            objects += f" --learning-seeds {' '.join(map(str, options.learning_seeds))}"
-        write_results(
-            options.results, command=f"{command} --only {name}{objects}", seed=options.seed, figures=figures
-        )  # fmt: skip
         for key, figure in figures.items():
             Console().print(f"{key}: {figure.value:.4g} {figure.spread if figure.spread is not None else ''}")
-
-
-if __name__ == "__main__":
-    main()
+        part = [] if options.only else ["--only", name]
+        command = command_line("grasping", [*argv, *part])
+        write_figures(options.results / "grasping.json", figures, command=command, seed=options.seed)

@@ -1,7 +1,7 @@
 """Inverse kinematics of the iCub: time per solve, per batch of 100 candidates, share of targets reached.
 
-    python benchmarks/kinematics.py
-    python benchmarks/kinematics.py --targets 1000 --seed 1
+    icub benchmark kinematics
+    icub benchmark kinematics --targets 1000 --seed 1
 
 Targets are hand poses of random postures of torso and right arm over the whole ranges (torso_pitch up to its limit in
 inverse kinematics), solved from home to 1 mm and 0.01 rad. Times are processor time of one thread, so that other work
@@ -14,10 +14,8 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: 6 x 6 matrices gain nothing from threads
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +23,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table as TextTable
 
-from icub_core.evaluation.results import Figure, write_results
+from icub_benchmarks.figures import Figure
+from icub_benchmarks.results import command_line, make_parser, write_figures
 from icub_core.geometry import rotation_exp
 from icub_core.interfaces.robot import IkSolution
 from icub_core.scene import Table
@@ -34,7 +33,6 @@ from icub_robots.icub import ICub
 FloatArray = NDArray[np.float64]
 FRAME, GROUP, BATCH = "r_hand_dh_frame", "right_reach", 100
 TORSO_PITCH_MAX = 0.5
-RESULTS = Path(__file__).resolve().parent / "results" / "simulation.json"
 
 
 def random_targets(robot: ICub, count: int, rng: np.random.Generator) -> FloatArray:
@@ -119,13 +117,12 @@ def measure(targets: int, seed: int) -> dict[str, Figure]:
     return figures
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure, print and write benchmarks/results/simulation.json."""
-    parser = argparse.ArgumentParser(description="Inverse kinematics of the iCub: times and shares reached.")
+def main(argv: Sequence[str]) -> None:
+    """Measure, print and write simulation.json."""
+    parser = make_parser("kinematics", __doc__)
     parser.add_argument("--targets", type=int, default=500, help="random targets, at least 100")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(argv)
     if options.targets < BATCH:
         parser.error(f"--targets is {options.targets}; expected at least {BATCH}")
     figures = measure(options.targets, options.seed)
@@ -135,10 +132,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
         values = ", ".join("" if v is None else f"{v:.3g}" for v in spread)
         table.add_row(key, f"{figure.value:.4g}", figure.unit, values, str(figure.n))
     Console().print(table)
-    command = f"python benchmarks/kinematics.py --targets {options.targets} --seed {options.seed}"
-    options.results.parent.mkdir(parents=True, exist_ok=True)
-    write_results(options.results, command=command, seed=options.seed, figures=figures)
-
-
-if __name__ == "__main__":
-    main()
+    command = command_line("kinematics", argv)
+    write_figures(options.results / "simulation.json", figures, command=command, seed=options.seed)

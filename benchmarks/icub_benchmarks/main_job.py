@@ -1,13 +1,14 @@
 """The main job, as a newcomer types it, for several seeds: figures of every stage and the wall time of the whole.
 
-icub benchmark main_job [--seeds 3]
+    icub benchmark main_job
+    icub benchmark main_job --seeds 1
+
+Means over the seeds; the spread is the standard deviation.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import logging
 import subprocess
 import sys
 import tempfile
@@ -17,11 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from icub_core.evaluation.results import Figure, write_results
+from icub_benchmarks.figures import Figure
+from icub_benchmarks.results import command_line, make_parser, write_figures
 
-logger = logging.getLogger(__name__)
-
-RESULTS = Path(__file__).parent / "results" / "main_job.json"
 JOB = ("+segmenter=falkon", "+policy=resprect")
 UNITS = {"seconds": "s", "frames": "1", "episodes": "1"}
 
@@ -37,11 +36,11 @@ def one_run(seed: int, folder: Path) -> dict[str, float]:
     return metrics
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the main job for several seeds and write benchmarks/results/main_job.json."""
-    parser = argparse.ArgumentParser(prog="icub benchmark main_job", description=__doc__)
+def main(argv: Sequence[str]) -> None:
+    """Run the main job for several seeds and write main_job.json."""
+    parser = make_parser("main_job", __doc__)
     parser.add_argument("--seeds", type=int, default=3, help="number of runs, seeds 0, 1, ...")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:
         runs = [one_run(seed, Path(folder)) for seed in range(options.seeds)]
     figures = {}
@@ -51,9 +50,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
             unit = UNITS.get(key.rpartition("_")[2].rpartition(".")[2], "1")
             spread = float(np.std(values, ddof=1)) if len(values) > 1 else None
             figures[key] = Figure(float(np.mean(values)), unit, spread, len(values))
-    write_results(RESULTS, command=f"icub benchmark main_job --seeds {options.seeds}", seed=0, figures=figures)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    write_figures(options.results / "main_job.json", figures, command=command_line("main_job", argv))

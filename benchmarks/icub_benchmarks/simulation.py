@@ -1,11 +1,11 @@
-"""Speed of the simulator: physics steps per second over scripted grasps, time of a image.
+"""Speed of the simulator: physics steps per second over scripted grasps, time of an image.
 
-    python benchmarks/simulation.py
-    python benchmarks/simulation.py --only render --repeats 200
+    icub benchmark simulation
+    icub benchmark simulation --only render --repeats 200
 
-One figure a function; each returns its entries for benchmarks/results/simulation.json, where figures of other scripts
-and functions are kept. Times are processor time of one thread, so that other work on the machine counts as little as
-possible; the machine should still be quiet, since two busy hardware threads of a core share it.
+Each function returns its entries for simulation.json, where figures of other benchmarks and functions are kept. Times
+are processor time of one thread, so that other work on the machine counts as little as possible; the machine should
+still be quiet, since two busy hardware threads of a core share it.
 """
 
 from __future__ import annotations
@@ -14,10 +14,8 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: the matrices here are small
 
-import argparse
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +23,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table as TextTable
 
-from icub_core.evaluation.results import Figure, write_results
+from icub_benchmarks.figures import Figure
+from icub_benchmarks.results import command_line, make_parser, write_figures
+from icub_core.errors import SimulationError
 from icub_core.geometry import make_transform, quat_wxyz_to_matrix, rotation_about
 from icub_core.interfaces.simulator import Simulator
 from icub_core.scene import ObjectSpec, Scene
@@ -34,7 +34,6 @@ from icub_simulators.mujoco.simulator import Mujoco
 from icub_simulators.objects.ycb_primitives import YcbPrimitives
 
 FloatArray = NDArray[np.float64]
-RESULTS = Path(__file__).resolve().parent / "results" / "simulation.json"
 
 OBJECTS = {
     "004_sugar_box": 0.0,
@@ -71,7 +70,7 @@ class ScriptedGrasp:
         for point in path:
             solution = robot.inverse_kinematics(make_transform(R, point), q, frame)
             if not solution.reached:
-                raise SystemExit(f"{spec.name} at {place} cannot be reached")
+                raise SimulationError(f"{spec.name} at {place} cannot be reached")
             q = solution.q
             self.q.append(q)
             self.lengths.append(A @ q + b)
@@ -106,9 +105,11 @@ class ScriptedGrasp:
 
 
 def physics_steps(seed: int, repeats: int) -> dict[str, Figure]:
-    """Raw physics steps a second, mean over whole scripted episodes; also per phase, and per call around the steps."""
+    """Raw physics steps per second, mean over whole scripted episodes; also per phase."""
     robot, objects, rng = ICub(), YcbPrimitives(), np.random.default_rng(seed)
-    rates, phases, lifted = [], {"approach": [0.0, 0], "close": [0.0, 0], "lift": [0.0, 0]}, 0
+    rates: list[float] = []
+    phases = {"approach": [0.0, 0.0], "close": [0.0, 0.0], "lift": [0.0, 0.0]}
+    lifted = 0
     simulator = Mujoco()
     jobs = [(name, roll) for name, roll in OBJECTS.items() for _ in range(max(repeats // len(OBJECTS), 1))]
     for name, roll in track(jobs, description="physics", transient=True):
@@ -129,15 +130,15 @@ def physics_steps(seed: int, repeats: int) -> dict[str, Figure]:
         lifted += bool(simulator.object_pose(name)[2, 3] > grasp.T_object[2, 3] + 0.1)
     simulator.close()
     if lifted < len(jobs) // 2:
-        raise SystemExit(f"only {lifted} of {len(jobs)} objects were lifted: this is not the scene that is meant")
+        raise SimulationError(f"only {lifted} of {len(jobs)} objects were lifted: this is not the scene that is meant")
     figures = {"sim.physics_steps_per_s": Figure(float(np.mean(rates)), "1/s", float(np.std(rates)), len(rates))}
-    for phase, (seconds, steps) in phases.items():
-        figures[f"sim.physics_steps_per_s.{phase}"] = Figure(steps / seconds, "1/s", None, len(rates))
+    for phase, (used, done) in phases.items():
+        figures[f"sim.physics_steps_per_s.{phase}"] = Figure(done / used, "1/s", None, len(rates))
     return figures
 
 
 def task_calls(seed: int, repeats: int) -> dict[str, Figure]:
-    """Microseconds of what a grasping task calls once a control step beside the physics steps."""
+    """Microseconds of what a grasping task calls once per control step beside the physics steps."""
     objects = YcbPrimitives()
     spec = objects.get("006_mustard_bottle")
     simulator = Mujoco()
@@ -194,26 +195,20 @@ FIGURES: dict[str, Callable[[int, int], dict[str, Figure]]] = {
 }
 
 
-def main() -> None:
-    """Measure, print and write benchmarks/results/simulation.json."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main(argv: Sequence[str]) -> None:
+    """Measure, print and write simulation.json."""
+    parser = make_parser("simulation", __doc__)
     parser.add_argument("--only", choices=list(FIGURES), action="append", help="measure only these (all by default)")
     parser.add_argument("--repeats", type=int, default=40, help="episodes, images, or rounds of calls")
     parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    chosen = arguments.only or list(FIGURES)
+    options = parser.parse_args(argv)
     figures: dict[str, Figure] = {}
-    for name in chosen:
-        figures |= FIGURES[name](arguments.seed, arguments.repeats)
-    only = "".join(f" --only {name}" for name in arguments.only or [])
-    command = f"python benchmarks/simulation.py{only} --repeats {arguments.repeats} --seed {arguments.seed}"
-    write_results(RESULTS, command=command, seed=arguments.seed, figures=figures)
+    for name in options.only or list(FIGURES):
+        figures |= FIGURES[name](options.seed, options.repeats)
     table = TextTable("figure", "value", "spread", "n", "unit")
     for key, figure in figures.items():
         spread = "" if figure.spread is None else f"{figure.spread:.4g}"
         table.add_row(key, f"{figure.value:.5g}", spread, str(figure.n), figure.unit)
     Console().print(table)
-
-
-if __name__ == "__main__":
-    main()
+    command = command_line("simulation", argv)
+    write_figures(options.results / "simulation.json", figures, command=command, seed=options.seed)

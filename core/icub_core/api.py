@@ -28,7 +28,7 @@ def load(kind: str, name: str, *, overrides: Sequence[str] = (), **parameters: A
         ConfigError: No such plugin or parameter, or a value that does not fit.
         PluginError: A plugin that cannot be imported.
     """
-    return Assembly(compose([f"{kind}={name}", *overrides])).fresh(kind, **parameters)
+    return Assembly(compose([f"{kind}={name}", *overrides], read=[kind])).fresh(kind, **parameters)
 
 
 def make_env(

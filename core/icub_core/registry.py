@@ -28,7 +28,7 @@ class PluginInfo:
         name: Registry name.
         target: ``module:Class``.
         distribution: Name and version of the distribution that announces it.
-        baselines: Other distributions that announce the same name with another target; such a name cannot be loaded.
+        conflicts: Other distributions that announce the same name with another target; such a name cannot be loaded.
     """
 
     kind: str

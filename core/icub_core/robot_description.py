@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,23 +14,29 @@ from numpy.typing import NDArray
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.scene import QuatWxyz, Vec3
 
+HANDS_SINCE = "0.2"
+"""Version of the interfaces in which `RobotDescription.hands` came."""
+
+_Entry = TypeVar("_Entry")
+
 
 @dataclass(frozen=True)
 class Actuator:
     """A position servo on one joint or on a weighted sum of joints (an under-actuated tendon).
 
-    Its length is sum(coefficients[j] * q[j]) + offset; the command is a length too.
+    Its length is sum(coefficients[j] * q[j]) + offset; the command is a length too. Lengths are radians where the
+    joints turn and meters where they slide.
 
     Attributes:
         name: Unique.
         coefficients: Joint name to weight.
-        kp: Proportional gain, Nm/rad; damping belongs to the joints.
-        range: Lowest and highest command, rad.
-        offset: Added to the weighted sum, rad.
+        kp: Proportional gain, Nm/rad or N/m; damping belongs to the joints.
+        range: Lowest and highest command.
+        offset: Added to the weighted sum.
         open, close: Commands of the open and the closed hand; equal for arm joints, where they mean nothing.
         step: What one control step may at most change the command by, for an actuator of a hand; 0 for an arm's.
-        max_speed: Command change per second that the robot permits, rad/s.
-        max_acceleration: Change of that speed per second, rad/s^2.
+        max_speed: Command change per second that the robot permits.
+        max_acceleration: Change of that speed per second.
     """
 
     name: str
@@ -48,7 +56,8 @@ class Grip:
     """Where a hand holds an object, as a planner needs it.
 
     The grip frame has its origin on the palm's surface, between the opposed fingers: x is the axis along which the
-    hand closes, z the approach axis (out of the palm, towards the object), y completes the right-handed frame.
+    hand closes, z the approach axis (out of the palm, towards the object), y completes the right-handed frame. Where
+    the two sides of the closing differ, the thumb is at negative x and the fingers are at positive x.
 
     Attributes:
         T_hand_grip: (4, 4) pose of the grip frame in the hand's frame.
@@ -56,6 +65,13 @@ class Grip:
         fingers_y: (k,) positions along y at which the fingers close, meters.
         depth: Height above the palm, along z, at which they close, meters.
         sweep: (3, 2) lowest and highest x, y, z that the closing fingers pass through, grip frame, meters.
+        half_axes: Of the ellipsoid that the inside of the closing hand resembles, along x, y and z, meters.
+        yaws: Lowest and highest angle of the x axis about the vertical at which the arm brings the hand to a table in
+            front of the robot, world, rad; the whole circle permits all.
+        mirrored: The hand is the left one of a pair. Planners that draw the poses of a right hand plan for its image
+            in the robot's plane of symmetry (y = 0); `yaws` are those of the image.
+        T_hand_jaw: (4, 4) pose, in the hand's frame, of the parallel jaw that the hand can stand in for: x along its
+            opening, z along its approach. None where this is the grip frame.
     """
 
     T_hand_grip: NDArray[np.float64]
@@ -63,6 +79,10 @@ class Grip:
     fingers_y: NDArray[np.float64]
     depth: float
     sweep: NDArray[np.float64]
+    half_axes: Vec3 = (0.03, 0.03, 0.03)
+    yaws: tuple[float, float] = (0.0, 2 * np.pi)
+    mirrored: bool = False
+    T_hand_jaw: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +153,22 @@ class RobotCamera:
     height: int = 480
 
 
+class _OldTable(dict[str, _Entry]):
+    """A table by hand that tells a plugin of version 0.1, which assumes the names of the iCub's hands, what changed."""
+
+    def __missing__(self, name: str) -> _Entry:
+        raise ConfigError(
+            f"the robot has no hand '{name}'; since version {HANDS_SINCE} of the interfaces the name of a hand is any "
+            f"string (here: {', '.join(self)}), and None is the robot's first: description.hand(None)"
+        )
+
+
+def _old(name: str, attribute: str, table: dict[str, _Entry]) -> Mapping[str, _Entry]:
+    text = f"RobotDescription.{name} goes with the next release; use description.hand(name).{attribute}"
+    warnings.warn(text, DeprecationWarning, stacklevel=3)
+    return _OldTable(table)
+
+
 @dataclass(frozen=True, eq=False)
 class RobotDescription:
     """Everything about a robot that is data.
@@ -188,6 +224,21 @@ class RobotDescription:
         if name not in self.hands:
             raise ConfigError(unknown_name(f"hand of robot '{self.name}'", name, self.hands))
         return self.hands[name]
+
+    @property
+    def hand_frames(self) -> Mapping[str, str]:
+        """Frame of each hand; deprecated, use ``hand(name).frame``."""
+        return _old("hand_frames", "frame", {name: hand.frame for name, hand in self.hands.items()})
+
+    @property
+    def hand_actuators(self) -> Mapping[str, tuple[str, ...]]:
+        """Actuators of each hand; deprecated, use ``hand(name).actuators``."""
+        return _old("hand_actuators", "actuators", {name: hand.actuators for name, hand in self.hands.items()})
+
+    @property
+    def fingertips(self) -> Mapping[str, tuple[str, ...]]:
+        """Fingertips of each hand; deprecated, use ``hand(name).fingertips``."""
+        return _old("fingertips", "fingertips", {name: hand.fingertips for name, hand in self.hands.items()})
 
     def reach_group(self, frame: str) -> str:
         """Return the joint group that places a hand's frame; ConfigError for a frame that belongs to no hand."""

@@ -7,21 +7,14 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 
 from icub_core.hooks import Events
+from icub_core.interfaces.closable import Closable
 
 logger = logging.getLogger(__name__)
-
-
-@runtime_checkable
-class Closable(Protocol):
-    """Anything that holds files, processes or an engine."""
-
-    def close(self) -> None:
-        """Free what is held; may be called twice."""
 
 
 class Plugins(Protocol):

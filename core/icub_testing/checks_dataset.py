@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from icub_core.config.schema import signature
+from icub_core.interfaces.abilities import Closable
 from icub_core.interfaces.dataset import Dataset
 from icub_testing.checks import Make
 from icub_testing.expect import expect, expect_raises, expect_same
@@ -30,6 +34,20 @@ def check_length(make: Make) -> None:
     dataset = make()
     expect(len(dataset) > 0, "at least one item", 0)
     expect_raises(IndexError, lambda: dataset[len(dataset)], "past the end")
+
+
+def check_splits(make: Make) -> None:
+    """Splits have names, each once, and the constructor takes one of them where there are several."""
+    dataset = make()
+    splits = dataset.splits
+    expect(len(splits) > 0 and all(isinstance(s, str) and s for s in splits), "names of splits", splits)
+    expect(len(set(splits)) == len(splits), "every split once", splits)
+    if len(splits) > 1:
+        cls: Any = type(dataset)
+        parameters = signature("dataset", cls.__name__, cls).parameters
+        expect("split" in parameters, "a constructor parameter 'split'", ", ".join(parameters) or "none")
+        chosen = parameters["split"].default
+        expect(chosen in splits or parameters["split"].required, "a default split that exists", repr(chosen))
 
 
 def check_labels(make: Make) -> None:
@@ -66,6 +84,14 @@ def check_masks(make: Make) -> None:
             tight = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], dtype=np.float64)
             off = float(np.abs(tight - instance.box).max())
             expect(off <= BOX_MARGIN, f"the box of '{instance.label}' around its mask in item {i}", f"{off:.1f} px off")
+
+
+def check_close(make: Make) -> None:
+    """A set that can be closed may be closed twice."""
+    dataset = make()
+    if isinstance(dataset, Closable):
+        dataset.close()
+        dataset.close()
 
 
 def check_iteration(make: Make) -> None:

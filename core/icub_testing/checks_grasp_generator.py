@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from icub_core.data import GraspProposals, PointCloud
+from icub_core.errors import ConfigError
 from icub_core.geometry import FloatArray
 from icub_core.scene import Table
 from icub_testing.checks import Make
-from icub_testing.expect import expect, expect_same
+from icub_testing.expect import expect, expect_raises, expect_same
 from icub_testing.tiny.robot import TinyRobot
 
 TABLE = Table()
@@ -69,9 +70,14 @@ def check_order(make: Make) -> None:
 
 
 def check_hand(make: Make) -> None:
-    """Grasps are for the hand that was asked for."""
-    hands = {grasp.hand for grasp in _proposed(make).grasps}
-    expect(hands <= {TinyRobot().description.hand().name}, "the first hand", hands)
+    """Grasps are for the hand that was asked for, the first one where none was; an unknown one raises ConfigError."""
+    robot, unnamed = TinyRobot(), _proposed(make)
+    name = robot.description.hand().name
+    hands = {grasp.hand for grasp in unnamed.grasps}
+    expect(hands <= {name}, "the first hand", hands)
+    named = make().propose(_surface(), robot, TABLE, name)
+    expect(len(named.grasps) == len(unnamed.grasps), "as many grasps of the hand by its name", len(named.grasps))
+    expect_raises(ConfigError, lambda: make().propose(_surface(), robot, TABLE, "no_such_hand"), "for an unknown hand")
 
 
 def check_reachable(make: Make) -> None:

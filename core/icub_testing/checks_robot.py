@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.data import FloatArray
 from icub_core.errors import ConfigError
-from icub_core.geometry import is_rigid, rotation_log
+from icub_core.geometry import FloatArray, is_rigid, rotation_log
 from icub_core.interfaces.abilities import ChecksCollisions, HasGaze
 from icub_core.interfaces.robot import Robot
+from icub_core.robot_description import Actuator, Grip
 from icub_core.scene import Table
 from icub_testing.checks import Make
 from icub_testing.expect import expect, expect_close, expect_raises, expect_same
@@ -75,9 +75,25 @@ def _expect_hands(robot: Robot) -> None:
         expect(not missing, f"known actuators of the hand '{name}'", missing)
         still = [actuator for actuator in hand.actuators if not known[actuator].step > 0]
         expect(not still, f"a step above 0 of every actuator of the hand '{name}'", still)
+        outside = [a for a in hand.actuators if not _within(known[a])]
+        expect(not outside, f"open and close of the hand '{name}' within the actuators' ranges", outside)
         if hand.grip is not None:
-            expect(is_rigid(hand.grip.T_hand_grip), f"a rigid grip frame of the hand '{name}'", hand.grip.T_hand_grip)
-            expect(hand.grip.width > 0, f"a width above 0 of the hand '{name}'", hand.grip.width)
+            _expect_grip(name, hand.grip)
+
+
+def _within(actuator: Actuator) -> bool:
+    low, high = actuator.range
+    return low <= actuator.open <= high and low <= actuator.close <= high
+
+
+def _expect_grip(name: str, grip: Grip) -> None:
+    frames = (grip.T_hand_grip, *(() if grip.T_hand_jaw is None else (grip.T_hand_jaw,)))
+    expect(all(is_rigid(T) for T in frames), f"rigid frames of the grip of the hand '{name}'", frames)
+    expect(grip.width > 0 and grip.depth > 0, f"width and depth of the hand '{name}' above 0", (grip.width, grip.depth))
+    expect(len(grip.fingers_y) > 0, f"at least one place where fingers of the hand '{name}' close", "none")
+    low, high = np.asarray(grip.sweep).T
+    expect(np.all(low < high), f"lowest before highest in the sweep of the hand '{name}'", grip.sweep)
+    expect(grip.yaws[0] < grip.yaws[1], f"lowest before highest yaw of the hand '{name}'", grip.yaws)
 
 
 def check_home(make: Make) -> None:
@@ -208,7 +224,9 @@ def check_gaze(make: Make) -> None:
     camera = d.camera().name
     for point in ([-0.4, 0.0, 1.0], [-0.3, 0.2, 1.1], [5.0, 0.0, 1.0]):
         start = d.home_q
-        answer = robot.gaze(np.array(point), start, camera)
+        answer = robot.gaze(np.array(point), start)
+        named = robot.gaze(np.array(point), start, camera)
+        expect_same(answer.q, named.q, "the answer for the first camera, named and not named")
         inside = (answer.q >= d.lower - 1e-9) & (answer.q <= d.upper + 1e-9)
         expect(inside.all(), "joints within their limits", [d.joint_names[i] for i in np.nonzero(~inside)[0]])
         expect_same(start, d.home_q, "the start before and after")

@@ -7,9 +7,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from icub_core.data import FloatArray
 from icub_core.errors import ConfigError, IcubError
-from icub_core.geometry import look_at, make_transform
+from icub_core.geometry import FloatArray, look_at, make_transform
 from icub_core.interfaces.abilities import ChangesAppearance
 from icub_core.interfaces.simulator import Fault, Simulator
 from icub_core.scene import CameraView, Material, Scene
@@ -104,6 +103,42 @@ def check_time(make: Make) -> None:
         simulator.step()
         simulator.step(7)
         expect_close(simulator.time, 8 * simulator.scene.timestep, 1e-9, "the time after 8 steps")
+
+
+def check_tick(make: Make) -> None:
+    """tick(seconds) advances the time by the nearest whole number of timesteps, at least one."""
+    with _world(make) as simulator:
+        timestep = simulator.scene.timestep
+        for seconds, steps in ((10 * timestep, 10), (10.4 * timestep, 10), (0.1 * timestep, 1)):
+            before = simulator.time
+            simulator.tick(seconds)
+            expect_close(simulator.time - before, steps * timestep, 1e-9, f"the time that tick({seconds:g}) takes")
+
+
+def check_image(make: Make) -> None:
+    """image(camera) is what that camera of the robot renders; an unknown camera raises ConfigError."""
+    with _world(make) as simulator:
+        simulator.set_object_pose("red", _place("red", -0.35, 0.0))
+        image, rendered = simulator.image(CAMERA, 80, 60), simulator.render(CAMERA, 80, 60).frame
+        expect_same(image.rgb, rendered.rgb, "the image and the rendering of one camera")
+        expect_same(image.depth, rendered.depth, "the depth of both")
+        expect_same(image.T_world_camera, rendered.T_world_camera, "the pose of both")
+        expect_raises(ConfigError, lambda: simulator.image("no_such_camera"), "for an image of an unknown camera")
+
+
+def check_hand_and_object(make: Make) -> None:
+    """hand_and_object gives what its parts give, also after the world has moved."""
+    hand = TinyRobot().description.hand()
+    with _world(make) as simulator:
+        simulator.set_object_pose("red", _place("red", -0.35, 0.0))
+        for _ in range(2):
+            simulator.set_targets(simulator.actuator_positions() + 0.05)
+            simulator.step(10)
+            pose, lengths, contacts, position = simulator.hand_and_object(hand.frame, hand.name, "red")
+            expect_close(pose, simulator.link_pose(hand.frame), 1e-9, "the pose of the hand")
+            expect_same(lengths, simulator.actuator_positions(), "actuator lengths")
+            expect_same(contacts, simulator.fingertip_contacts(hand.name), "fingertip contacts")
+            expect_same(position, simulator.object_pose("red")[:3, 3], "the position of the object")
 
 
 def check_repeatable(make: Make) -> None:
@@ -237,19 +272,19 @@ def check_save_and_restore(make: Make) -> None:
         expect_same(saved, kept, "the saved vector before and after")
 
 
-def check_picture(make: Make) -> None:
+def check_rendering(make: Make) -> None:
     """Images have the size asked for, and depth in meters that agrees with the scene."""
     view = _from_above(-0.35, 0.0)
     with _world(make) as simulator:
         simulator.set_object_pose("red", _place("red", -0.35, 0.0))
-        picture = simulator.render(view, 100, 80, segmentation=True)
-        frame = picture.frame
-        assert picture.segmentation is not None
+        rendering = simulator.render(view, 100, 80, segmentation=True)
+        frame = rendering.frame
+        assert rendering.segmentation is not None
         expect(frame.rgb.shape == (80, 100, 3), "an image of (80, 100, 3)", frame.rgb.shape)
-        expect(picture.segmentation.shape == (80, 100), "a segmentation of (80, 100)", picture.segmentation.shape)
+        expect(rendering.segmentation.shape == (80, 100), "a segmentation of (80, 100)", rendering.segmentation.shape)
         expect_close(frame.T_world_camera, view.T_world_camera, 1e-9, "the pose of the camera")
         spec = simulator.scene.objects[0]
-        on_object, on_table = picture.segmentation == 0, picture.segmentation == -1
+        on_object, on_table = rendering.segmentation == 0, rendering.segmentation == -1
         expect(on_object.sum() > 20, "more than 20 pixels of the object", int(on_object.sum()))
         local = frame.to_cloud(on_object).points - simulator.object_pose("red")[:3, 3]
         beyond = float((np.abs(local) - np.asarray(spec.half_extents)).max())
@@ -266,14 +301,14 @@ def check_pixels(make: Make) -> None:
     with _world(make) as simulator:
         simulator.set_object_pose("red", _place("red", -0.35, 0.0))
         for width, height in ((100, 80), (101, 81)):
-            picture = simulator.render(_from_above(-0.35, 0.0), width, height, segmentation=True)
-            assert picture.segmentation is not None
-            rows, columns = np.nonzero(picture.segmentation == 0)
+            rendering = simulator.render(_from_above(-0.35, 0.0), width, height, segmentation=True)
+            assert rendering.segmentation is not None
+            rows, columns = np.nonzero(rendering.segmentation == 0)
             middle = np.array([columns.mean(), rows.mean()])
             expect_close(
                 middle, [(width - 1) / 2, (height - 1) / 2], PIXEL_ERROR, "the middle of an object on the axis"
             )
-            K = picture.frame.intrinsics
+            K = rendering.frame.intrinsics
             expect_close(K[:2, 2], middle, PIXEL_ERROR, "the principal point in the intrinsics")
             expect_close(K[0, 0], 0.5 * height / np.tan(0.5 * 0.7), 0.5, "the focal length for a field of view of 0.7")
 
@@ -320,12 +355,16 @@ def check_contacts(make: Make) -> None:
         expect(
             not simulator.fingertip_contacts().any(), "no fingertip contact in the air", simulator.fingertip_contacts()
         )
-        tip = robot.description.hand().fingertips[2]
+        tips = robot.description.hand().fingertips
+        tip = tips[-1]
         simulator.set_object_pose("red", make_transform(None, simulator.link_pose(tip)[:3, 3]))
         simulator.step(1)
         contacts = simulator.fingertip_contacts()
-        expect(contacts.shape == (5,) and contacts.dtype == np.bool_, "five bool", (contacts.shape, contacts.dtype))
-        expect(simulator.touching("red") and contacts[2], "a contact of the middle fingertip", contacts.tolist())
+        fits = contacts.shape == (len(tips),) and contacts.dtype == np.bool_
+        expect(fits, f"{len(tips)} bool", (contacts.shape, contacts.dtype))
+        expect(simulator.touching("red") and contacts[-1], f"a contact of '{tip}'", contacts.tolist())
+        named = simulator.fingertip_contacts(robot.description.hand().name)
+        expect_same(named, contacts, "contacts of the first hand, named and not named")
         expect_same(simulator.robot_state().fingertip_contacts, contacts, "contacts in the robot's state")
 
 

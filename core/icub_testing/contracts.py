@@ -107,6 +107,12 @@ class DatasetContract(PluginContract):
     kind = "dataset"
 
 
+class EpisodesContract(PluginContract):
+    """Checks of recorded episodes."""
+
+    kind = "episodes"
+
+
 class TaskContract(PluginContract):
     """Checks of tasks."""
 

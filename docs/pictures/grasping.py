@@ -5,10 +5,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from studio import Image, Studio, halved, save_png, ycb
+from studio import Image, Studio, halved, room, save_png, ycb
 from tensordict import TensorDictBase
 
-from icub_core.construct import build
+import icub_core as icub
+from icub_core.config.assembly import Assembly
+from icub_core.config.compose import compose
 from icub_core.data import RgbdFrame
 from icub_core.geometry import invert, look_at
 from icub_core.scene import CameraView, Table
@@ -27,7 +29,7 @@ def projected(points: NDArray[np.float64], T_world_camera: NDArray[np.float64], 
 
 
 def wireframe(canvas: Image, shape: object, frame: RgbdFrame, color: tuple[int, int, int]) -> None:
-    """Draw the near side of a superquadric's parameter lines on a image."""
+    """Draw the near side of a superquadric's parameter lines on an image."""
     u, v = np.meshgrid(np.linspace(-np.pi / 2, np.pi / 2, 13), np.linspace(-np.pi, np.pi, 25), indexing="ij")
     unit = np.stack([np.cos(u) * np.cos(v), np.cos(u) * np.sin(v), np.sin(u)], axis=-1)
     R, half = shape.T_world_object[:3, :3], shape.half_axes  # type: ignore[attr-defined]
@@ -64,9 +66,17 @@ def superquadric() -> None:
     mask = seen.segmentation == 0
     cloud = seen.frame.to_cloud(mask)
     shape = fit_superquadric(cloud.points, Table().top).shape
-    generator = build("grasp_generator", "superquadrics")
+    generator = icub.load("grasp_generator", "superquadrics")
+    hand = description.hand("right")
     plan = plan_grasp(
-        seen.frame, mask, item.name, generator, studio.robot, description.home_q, table=simulator.scene.table
+        seen.frame,
+        mask,
+        item.name,
+        generator,
+        studio.robot,
+        description.home_q,
+        table=simulator.scene.table,
+        hand=hand,
     )
     if not isinstance(plan, GraspPlan):
         raise SystemExit(f"no plan for the image: {plan.value}")
@@ -77,14 +87,13 @@ def superquadric() -> None:
         captioned(crop(first, mask), "masked depth = cloud"),
         captioned(crop(second, mask), "fitted superquadric"),
     ]
-    frame = description.hand("right").frame
     eye, center = np.array([-0.78, 0.40, 1.28]), np.array([-0.29, 0.03, 1.08])
     for title, T in (("pre-grasp, 10 cm before", plan.T_far), ("chosen hand pose", plan.grasp.T_world_hand)):
-        solution = studio.robot.inverse_kinematics(T, plan.q_far, frame, group="right_reach")
+        solution = studio.robot.inverse_kinematics(T, plan.q_far, hand.frame, group=hand.reach)
         simulator.set_joint_positions(solution.q)
-        picture = simulator.render(CameraView(look_at(eye, center), 0.5), 640, 480, shadows=True).frame
-        canvas = picture.rgb.copy()
-        wireframe(canvas, shape, picture, ORANGE)
+        view = simulator.render(CameraView(look_at(eye, center), 0.5), 640, 480, shadows=True).frame
+        canvas = view.rgb.copy()
+        wireframe(canvas, shape, view, ORANGE)
         panels.append(captioned(halved(canvas), title))
     save_png("superquadric", contact_sheet(panels, 2))
 
@@ -103,7 +112,7 @@ def grasps() -> None:
     items = ycb("004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle")
     studio = Studio.open(items, hands=["right", "left"])
     simulator, description = studio.simulator, studio.robot.description
-    generator = build("grasp_generator", "superquadrics")
+    generator = icub.load("grasp_generator", "superquadrics")
     rows = []
     for side, sign in (("right", 1.0), ("left", -1.0)):
         row = []
@@ -117,11 +126,11 @@ def grasps() -> None:
             answer = generator.propose(cloud, studio.robot, simulator.scene.table, side)
             if not answer:
                 raise SystemExit(f"no grasp of '{item.name}' for the image: {answer.reason}")
-            frame = description.hand(side).frame
+            hand = description.hand(side)
             q = description.home_q
             for before in (0.10, 0.05, 0.0):
                 T = answer.grasps[0].backed_off(before) if before else answer.grasps[0].T_world_hand
-                q = studio.robot.inverse_kinematics(T, q, frame, group=f"{side}_reach").q
+                q = studio.robot.inverse_kinematics(T, q, hand.frame, group=hand.reach).q
             simulator.set_joint_positions(q)
             shot = studio.shot((-0.95, 0.30 * sign, 1.40), (-0.28, 0.0, 1.10), 0.62)
             row.append(captioned(shot, f"{side} hand"))
@@ -131,31 +140,29 @@ def grasps() -> None:
 
 def grasp() -> None:
     """A scripted grasp in six images."""
-    from icub_tasks.grasping.env import GraspEnv
+    from icub_tasks.grasping.world import CONTROL_STEP
 
-    from icub_core.rollouts import evaluate
-    from icub_tasks.grasping.task import CONTROL_STEP, GraspTask
-
-    (item,) = ycb("006_mustard_bottle")
-    studio = Studio.open([item])
-    generator, policy = build("grasp_generator", "superquadrics"), build("policy", "demonstrations")
-    env = GraspEnv([GraspTask(studio.simulator, studio.robot, generator, [item.name])])
-    pictures: list[Image] = []
+    name = "006_mustard_bottle"
+    plugins = Assembly(compose())
+    task = plugins.fresh("task", targets=[name], scene=room)
+    studio = Studio(task.simulator(0), plugins.get("robot"))
+    policy = icub.load("policy", "demonstrations")
+    images: list[Image] = []
 
     steps = 0
 
-    def record(world: int, env: GraspEnv, episode: int, step: TensorDictBase) -> None:
+    def record(world: int, task: icub.Task, episode: int, step: TensorDictBase) -> None:
         nonlocal steps
         if steps % RECORDED == 0:
             shot = studio.shot((-0.83, 0.42, 1.30), (-0.29, 0.03, 1.12), 0.55)
-            pictures.append(captioned(shot, f"{steps * CONTROL_STEP:.1f} s"))
+            images.append(captioned(shot, f"{steps * CONTROL_STEP:.1f} s"))
         steps += 1
 
     for seed in range(5):
-        pictures.clear()
+        images.clear()
         steps = 0
-        if evaluate(policy, env, 1, seed, recorder=record).success[0]:
+        if icub.evaluate(policy, task, 1, seed, recorder=record).success[0]:
             break
-    chosen = [pictures[int(i)] for i in np.linspace(0, len(pictures) - 1, 6)]
+    chosen = [images[int(i)] for i in np.linspace(0, len(images) - 1, 6)]
     save_png("grasp", contact_sheet(chosen, 3))
-    env.close()
+    task.close()

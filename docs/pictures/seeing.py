@@ -12,7 +12,7 @@ import imageio.v3 as iio
 import numpy as np
 from studio import Image, save_gif, save_png
 
-from icub_core.construct import build
+import icub_core as icub
 from icub_pipelines.images import captioned, color_of, contact_sheet, draw_instances
 
 
@@ -37,7 +37,7 @@ def datasets() -> None:
     """Frames of the two rendered TARGET-TASKs with their annotations."""
     shown = []
     for name, indices in (("rendered_tabletop", (0, 12, 24)), ("rendered_handheld", (0, 16, 40))):
-        frames = build("dataset", {"plugin": name, "split": "train", "frames": 60})
+        frames = icub.load("dataset", name, split="train", frames=60)
         for i in indices:
             frame, instances = frames[i]
             shown.append(captioned(draw_instances(frame.rgb, instances), f"{name}[{i}]"))
@@ -60,9 +60,8 @@ def main_job(run_folder: Path | None = None) -> None:
     shown += [("2  found on tables it never saw, among distractors", tile) for tile in split(seen, 240, 320)]
     stills = [titled(tile, title) for title, tile in shown]
     # the second half of the video, at twice its speed
-    frames = [
-        titled(picture[..., :3], "3  planned and grasped (twice real time)") for picture in video[len(video) // 2 :: 2]
-    ]
+    title = "3  planned and grasped (twice real time)"
+    frames = [titled(image[..., :3], title) for image in video[len(video) // 2 :: 2]]
     seconds = [0.9] * len(stills) + [0.1] * (len(frames) - 1) + [1.5]
     save_gif("main_job", stills, frames, seconds)
 
@@ -88,9 +87,9 @@ def split(sheet: Image, height: int, width: int) -> list[Image]:
     return [tile for tile in tiles if tile.any()]
 
 
-def titled(picture: Image, title: str) -> Image:
-    """Put a line of text above a image, 480 x 384 in all."""
+def titled(image: Image, title: str) -> Image:
+    """Put a line of text above an image, 480 x 384 in all."""
     canvas = np.full((384, 480, 3), 24, np.uint8)
-    canvas[24:] = cv2.resize(picture, (480, 360), interpolation=cv2.INTER_CUBIC)
+    canvas[24:] = cv2.resize(image, (480, 360), interpolation=cv2.INTER_CUBIC)
     cv2.putText(canvas, title, (8, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (235, 235, 235), 1, cv2.LINE_AA)
     return canvas

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from studio import FLOOR, WALL, WOOD, Image, Studio, save_png, ycb
 
-from icub_core.construct import build
+import icub_core as icub
 from icub_core.scene import Light, Scene, Table
 from icub_pipelines.images import captioned, contact_sheet
 
@@ -51,7 +51,7 @@ def hands() -> None:
     save_png("hands", np.concatenate(rows))
 
 
-def depth_picture(depth: NDArray[np.float32]) -> Image:
+def depth_image(depth: NDArray[np.float32]) -> Image:
     """Color meters from near (yellow) to far (violet); nothing measured is black."""
     seen = depth > 0
     low, high = np.percentile(depth[seen], [1, 95])
@@ -78,8 +78,8 @@ def cameras() -> None:
         captioned(straight.frame.rgb, "head_cam, as the neck holds it"),
         captioned(turned.frame.rgb, "head_cam, look_at=object"),
         captioned(front.frame.rgb, "front_cam"),
-        captioned(depth_picture(straight.frame.depth), "its depth"),
-        captioned(depth_picture(turned.frame.depth), "its depth"),
+        captioned(depth_image(straight.frame.depth), "its depth"),
+        captioned(depth_image(turned.frame.depth), "its depth"),
         captioned(colors[turned.segmentation + 1], "the second one's segmentation"),
     ]
     save_png("cameras", contact_sheet(sheet, 3))
@@ -87,15 +87,15 @@ def cameras() -> None:
 
 def objects() -> None:
     """The eight YCB primitives, household things, and random objects resized for the hand."""
-    random = build("objects", {"plugin": "random1000", "graspable": True})
-    household = build("objects", "household")
+    random = icub.load("objects", "random1000", graspable=True)
+    household = icub.load("objects", "household")
     lamp = Light(direction=(-0.5, -0.5, -1.0), diffuse=(0.6, 0.6, 0.6), ambient=(0.42, 0.42, 0.42))
     for name, items in (
         ("objects_ycb_primitives", ycb()),
         ("objects_household", [household.get(n) for n in household.names[5::18]]),
         ("objects_random1000", [random.get(n) for n in random.names[:96:12]]),
     ):
-        simulator = build("simulator", "mujoco")
+        simulator = icub.load("simulator", "mujoco")
         simulator.load(None, Scene(tuple(items), Table(material=WOOD), lights=(lamp,), floor=FLOOR, backdrop=WALL))
         simulator.reset()
         studio = Studio(simulator, None)  # type: ignore[arg-type]  # no robot is looked at here

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pillow
 
-from icub_core.construct import build
+import icub_core as icub
 from icub_core.geometry import look_at, make_transform, quat_wxyz_to_matrix, rotation_about
 from icub_core.interfaces.robot import Robot
 from icub_core.interfaces.simulator import Simulator
@@ -28,6 +28,7 @@ STUDIO = (KEY, FILL)
 WALL = Material(rgba=(0.80, 0.83, 0.87, 1.0))
 FLOOR = Material(rgba=(0.55, 0.58, 0.62, 1.0))
 WOOD = Material(rgba=(0.60, 0.47, 0.35, 1.0))
+WOODEN_TABLE = Table(material=WOOD)
 
 logger = logging.getLogger(__name__)
 
@@ -76,10 +77,9 @@ class Studio:
     @classmethod
     def open(cls, objects: Sequence[ObjectSpec] = (), table: bool = True, **robot: object) -> Studio:
         """Load the robot, the table and `objects`."""
-        body = build("robot", {"plugin": "icub", **robot})
-        simulator = build("simulator", "mujoco")
-        furniture = Table(material=WOOD) if table else None
-        simulator.load(body.description, Scene(tuple(objects), furniture, lights=STUDIO, floor=FLOOR, backdrop=WALL))
+        body = icub.load("robot", "icub", **robot)
+        simulator = icub.load("simulator", "mujoco")
+        simulator.load(body.description, room(objects, WOODEN_TABLE if table else None))
         simulator.reset()
         return cls(simulator, body)
 
@@ -102,9 +102,14 @@ class Studio:
         self.simulator.set_object_pose(item.name, make_transform(R, [x, y, Table().top + item.rest_height]))
 
 
+def room(objects: Sequence[ObjectSpec], table: Table | None = WOODEN_TABLE) -> Scene:
+    """Return the studio with its light, a table and objects."""
+    return Scene(tuple(objects), table, lights=STUDIO, floor=FLOOR, backdrop=WALL)
+
+
 def ycb(*names: str) -> list[ObjectSpec]:
     """Return objects of the set ycb_primitives; all of them when none is named."""
-    objects = build("objects", "ycb_primitives")
+    objects = icub.load("objects", "ycb_primitives")
     return [objects.get(name) for name in names or objects.names]
 
 

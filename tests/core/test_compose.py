@@ -269,3 +269,8 @@ def test_the_main_job_composes_from_what_ships():
         "grasp_generator": "superquadrics", "policy": "resprect", "robot": "icub", "objects": "ycb_primitives",
         "task": "grasp", "pipeline": "main",
     }  # fmt: skip
+
+
+def test_a_data_set_that_the_caller_reads_composes(tiny):
+    """`icub_core.load` asks for one without a run."""
+    assert compose([*TINY_WORLD, "dataset=tiny"], read=["dataset"]).dataset.plugin == "tiny"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from icub_core.config.schema import constructor_arguments
+from icub_core.construct import constructor_arguments
 from icub_datasets.coco import Coco
 from icub_datasets.ho3d import SEQUENCES, Ho3d
 from icub_datasets.image_folder import ImageFolder

@@ -11,6 +11,7 @@ import pytest
 
 from icub_core.errors import DataError
 from icub_datasets.lhmanip import LHManip
+from icub_testing.contracts import EpisodesContract
 
 _spec = importlib.util.spec_from_file_location("dataset_layouts", Path(__file__).parent / "layouts.py")
 layouts = importlib.util.module_from_spec(_spec)
@@ -33,7 +34,7 @@ def write_episode(folder: Path, instruction: str, seed: int) -> dict:
     }
     for suffix in ("", "_left", "_wrist"):
         for i in range(STEPS):
-            layouts.write_png(folder / f"images{suffix}" / f"{i}.png", layouts.picture(i, (12, 16)))
+            layouts.write_png(folder / f"images{suffix}" / f"{i}.png", layouts.random_image(i, (12, 16)))
             layouts.write_png(folder / f"depth{suffix}" / f"{i}.png", np.full((12, 21), 1000 + i, np.uint16))
     (folder / "data.pkl").write_bytes(pickle.dumps(content, protocol=2))
     return content
@@ -47,6 +48,12 @@ def lhmanip(tmp_path):
     (tmp_path / "README.md").write_text("a stray file")
     (tmp_path / "stack the cups" / "notes").mkdir()
     return tmp_path
+
+
+class TestContract(EpisodesContract):
+    @pytest.fixture
+    def make_plugin(self, lhmanip):
+        return lambda: LHManip(path=lhmanip)
 
 
 def test_episodes_are_found_in_order_among_stray_files(lhmanip):
@@ -63,15 +70,14 @@ def test_a_step_is_in_metres_and_wxyz(lhmanip):
     assert len(steps) == len(episode) == STEPS
     state, action = content["observations"]["states"][1], content["actions"][1]
     step = steps[1]
-    np.testing.assert_array_equal(step.position, state[:3])
-    np.testing.assert_array_equal(step.quat_wxyz, state[[6, 3, 4, 5]])
-    np.testing.assert_array_equal(step.joint_positions, state[7:14])
-    np.testing.assert_array_equal(step.gripper, state[14:16])
-    np.testing.assert_array_equal(step.joint_velocities, state[16:23])
+    np.testing.assert_array_equal(step.state["position"], state[:3])
+    np.testing.assert_array_equal(step.state["quat_wxyz"], state[[6, 3, 4, 5]])
+    np.testing.assert_array_equal(step.state["joint_positions"], state[7:14])
+    np.testing.assert_array_equal(step.state["gripper"], state[14:16])
+    np.testing.assert_array_equal(step.state["joint_velocities"], state[16:23])
     np.testing.assert_array_equal(step.action, action[[0, 1, 2, 6, 3, 4, 5, 7]])
     assert [step.depth[c][0, 0] for c in ("main", "left", "wrist")] == pytest.approx([1.001, 0.5005, 0.1001])
-    np.testing.assert_array_equal(step.rgb["wrist"], layouts.picture(1, (12, 16))[..., ::-1])
-    assert [(s.is_first, s.is_last) for s in steps] == [(True, False), (False, False), (False, True)]
+    np.testing.assert_array_equal(step.rgb["wrist"], layouts.random_image(1, (12, 16))[..., ::-1])
     with pytest.raises(IndexError):
         episode[STEPS]
 

@@ -12,6 +12,7 @@ from icub_grasp_generators.synthetic_clouds import surface
 
 HALF = np.array([0.03, 0.025, 0.09])  # a tall carton
 CENTER = np.array([-0.35, 0.0, 1.04])
+SWEEP = np.array([[-0.020, 0.085], [-0.050, 0.050], [0.0, 0.075]])  # the iCub's hand
 EYE = CENTER + [0.4, -0.3, 0.25]
 SOLID = Superquadric.from_parts(HALF, np.array([0.05, 0.05]), np.eye(3), CENTER)
 
@@ -42,7 +43,7 @@ def test_hands_of_the_test_are_rotations_that_span_the_carton():
 
 
 def test_a_solid_that_was_seen_costs_nothing():
-    evidence = Evidence(SOLID, picture(), EYE)
+    evidence = Evidence(SOLID, picture(), EYE, SWEEP)
     assert evidence.cost(HIGH)[0] == 0.0
     assert evidence.cost(LOW)[0] == 0.0
 
@@ -51,14 +52,14 @@ def test_where_half_of_the_solid_was_not_seen_poses_cost_more_the_less_was_seen(
     points = picture()
     half_seen = points[(points[:, 2] > CENTER[2]) | (np.arange(len(points)) % 4 == 0)]
     unseen = points[points[:, 2] > CENTER[2]]
-    some, none = (Evidence(SOLID, cloud, EYE) for cloud in (half_seen, unseen))
+    some, none = (Evidence(SOLID, cloud, EYE, SWEEP) for cloud in (half_seen, unseen))
     assert none.cost(HIGH)[0] == some.cost(HIGH)[0] == 0.0
     assert 0.5 < some.cost(LOW)[0] < none.cost(LOW)[0]
     assert none.cost(LOW)[0] > 1.5
 
 
 def test_poses_that_close_around_nothing_of_either_are_not_judged():
-    evidence = Evidence(SOLID, picture(), EYE)
+    evidence = Evidence(SOLID, picture(), EYE, SWEEP)
     assert evidence.cost(hand_at(0.5))[0] == 0.0
 
 
@@ -73,6 +74,6 @@ def test_shares_of_the_picture_are_those_of_a_camera():
         to_eye = EYE - points
         weight = np.maximum((normals @ R.T * to_eye).sum(axis=1), 0) / np.linalg.norm(to_eye, axis=1) ** 3
         cloud = points[rng.choice(len(points), 3000, replace=False, p=weight / weight.sum())]
-        evidence = Evidence(solid, cloud, EYE)
+        evidence = Evidence(solid, cloud, EYE, SWEEP)
         for height in (-0.06, 0.0, 0.06):
             assert evidence.cost(hand_at(height))[0] < 0.1

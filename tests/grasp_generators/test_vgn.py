@@ -12,11 +12,13 @@ from icub_core.data import PointCloud
 from icub_core.errors import ConfigError, WeightsError
 from icub_core.geometry import rotation_about
 from icub_core.scene import Table
+from icub_grasp_generators.planned_hand import planned_hand
 from icub_grasp_generators.synthetic_clouds import surface
 from icub_grasp_generators.vgn.generator import Vgn
 from icub_grasp_generators.vgn.hand_search import around
 from icub_grasp_generators.vgn.network import SHIPPED, VgnNetwork, load_network
 from icub_grasp_generators.vgn.palm import at_palm
+from icub_testing.tiny.robot import TinyRobot
 
 TABLE = Table()
 CAN = ("cylinder", np.array([0.033, 0.033, 0.05]))
@@ -61,7 +63,7 @@ def test_grasps_are_reached_on_the_whole_way_and_clear_of_table_and_object(
 
 def test_the_left_hand_grasps_the_mirror_image(generator, icub):
     cloud = cloud_of(CAN)
-    right, _ = generator.predict(cloud, TABLE)
+    right, _ = generator.predict(cloud, TABLE, planned_hand(icub.description))
     right = np.concatenate([right, around(at_palm(right)[:, :3, 3], cloud)])
     grasps = generator.propose(mirrored(cloud), icub, TABLE, "left").grasps
     assert grasps
@@ -72,8 +74,9 @@ def test_the_left_hand_grasps_the_mirror_image(generator, icub):
 
 @pytest.mark.parametrize("table_in_volume", [False, True])
 @pytest.mark.parametrize("weights", sorted(path.stem for path in SHIPPED.glob("*.safetensors")))
-def test_both_networks_find_poses_with_the_table_in_the_field_or_not(weights, table_in_volume):
-    poses, quality = Vgn(weights, threshold=0.2, table_in_volume=table_in_volume).predict(cloud_of(CAN), TABLE)
+def test_both_networks_find_poses_with_the_table_in_the_field_or_not(icub, weights, table_in_volume):
+    hand = planned_hand(icub.description)
+    poses, quality = Vgn(weights, threshold=0.2, table_in_volume=table_in_volume).predict(cloud_of(CAN), TABLE, hand)
     assert len(poses) == len(quality) > 0
     assert np.all(np.diff(quality) <= 0)
     assert np.all(np.linalg.norm(poses[:, :3, 3] - [-0.35, 0.0, TABLE.top + 0.05], axis=1) < 0.2)
@@ -84,9 +87,9 @@ def test_a_cloud_without_a_viewpoint_is_taken_to_be_seen_by_the_head(generator, 
     assert generator.propose(PointCloud(cloud.points), icub, TABLE)
 
 
-def test_without_a_table_the_cube_stands_on_the_lowest_point(generator):
+def test_without_a_table_the_cube_stands_on_the_lowest_point(icub, generator):
     cloud = cloud_of(CAN)
-    poses, _ = generator.predict(cloud, None)
+    poses, _ = generator.predict(cloud, None, planned_hand(icub.description))
     assert np.all(np.abs(poses[:, 2, 3] - TABLE.top - 0.05) < 0.2)
 
 
@@ -106,6 +109,15 @@ def test_no_grasp_is_a_result_with_its_reason(icub, generator):
     assert "expected 'world'" in generator.propose(camera, icub, TABLE).reason
     inside = PointCloud(cloud_of(CAN).points, viewpoint=np.array([-0.35, 0.0, 1.0]))
     assert "viewpoint is" in generator.propose(inside, icub, TABLE).reason
+
+
+def test_weights_of_the_icub_s_hand_leave_another_hand_to_the_gripper_s(generator):
+    """The tiny robot's claw is no hand of the iCub: both weights give the grasps of the gripper's network."""
+    answers = [g.propose(cloud_of(CAN), TinyRobot(), TABLE) for g in (generator, Vgn("parallel_jaw"))]
+    assert answers[0], answers[0].reason
+    assert answers[0].grasps[0].hand == "claw"
+    for one, other in zip(*(answer.grasps for answer in answers), strict=True):
+        np.testing.assert_array_equal(one.T_world_hand, other.T_world_hand)
 
 
 def test_the_original_weight_file_can_be_given(icub, tmp_path):

@@ -9,12 +9,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from icub_core.geometry import is_rigid
+from icub_grasp_generators.planned_hand import planned_hand
 from icub_grasp_generators.vgn.adaptation import hand_poses
 from icub_grasp_generators.vgn.palm import PALM_POINT, at_palm, from_palm
 from icub_grasp_generators.vgn.selection import Selected, near_surface, select
 from icub_grasp_generators.vgn.volume import Volume
+from icub_robots.icub import ICub
 
 SHAPE = (40, 40, 40)
+RIGHT = planned_hand(ICub().description)
 
 
 @pytest.fixture
@@ -103,7 +106,7 @@ def found(quaternion) -> Selected:
 @given(quaternions)
 def test_the_hand_takes_in_along_the_approach_and_closes_along_the_gripper_s_opening(quaternion):
     volume = Volume(np.array([-0.5, -0.15, 0.9]))
-    poses, quality = hand_poses(found(quaternion), volume, "gripper")
+    poses, quality = hand_poses(found(quaternion), volume, "gripper", RIGHT)
     gripper = Rotation.from_quat(quaternion).as_matrix()
     np.testing.assert_array_equal(quality, [0.9, 0.9])
     for T in poses:
@@ -119,7 +122,7 @@ def test_the_hand_takes_in_along_the_approach_and_closes_along_the_gripper_s_ope
 @given(quaternions)
 def test_a_hand_s_voxel_is_its_palm_point(quaternion):
     volume = Volume(np.array([-0.5, -0.15, 0.9]))
-    (T,), _ = hand_poses(found(quaternion), volume, "hand")
+    (T,), _ = hand_poses(found(quaternion), volume, "hand", RIGHT)
     np.testing.assert_allclose(T[:3, :3] @ PALM_POINT + T[:3, 3], volume.point_of(np.array([20, 11, 7])), atol=1e-9)
     np.testing.assert_allclose(from_palm(at_palm(T[None]))[0], T, atol=1e-12)
 
@@ -127,6 +130,6 @@ def test_a_hand_s_voxel_is_its_palm_point(quaternion):
 @pytest.mark.parametrize("pose", ["gripper", "hand"])
 def test_nothing_found_gives_no_poses(pose):
     nothing = Selected(np.zeros((0, 3), dtype=np.intp), np.zeros(0), np.zeros((0, 4)), np.zeros(0))
-    poses, quality = hand_poses(nothing, Volume(np.zeros(3)), pose)
+    poses, quality = hand_poses(nothing, Volume(np.zeros(3)), pose, RIGHT)
     assert poses.shape == (0, 4, 4)
     assert len(quality) == 0

@@ -155,13 +155,23 @@ def test_contacts_and_excludes_name_existing_links(both_hands):
     d = both_hands.description
     text = d.urdf.read_text()
     links = {*d.contacts, *d.capsule_links, *(name for pair in d.contact_excludes for name in pair)}
-    links |= {name for tips in d.fingertips.values() for name in tips} | set(d.hand_frames.values())
+    links |= {link for hand in d.hands.values() for link in (hand.frame, *hand.fingertips)}
     for name in links:
         assert f'<link name="{name}"' in text, name
     for tip in d.hand("right").fingertips + d.hand("left").fingertips:
         assert d.contacts[tip].priority == 1
         assert d.contacts[tip].friction[0] == 3.5
     assert set(d.dynamics) <= set(d.joint_names)
+
+
+@pytest.mark.parametrize("hands", [("right",), ("left",), ("right", "left"), ("left", "right")])
+@pytest.mark.parametrize("weld", [True, False])
+def test_the_first_hand_is_the_one_that_is_named_first(hands, weld):
+    d = describe(hands, weld=weld)
+    assert d.hand().name == hands[0]
+    assert d.hand().frame == f"{hands[0][0]}_hand_dh_frame"
+    assert tuple(d.hands)[: len(hands)] == hands
+    assert d.hand().actuators == tuple(f"{hands[0][0]}_{name}" for name in HAND_ORDER)
 
 
 @pytest.mark.parametrize(

@@ -215,7 +215,8 @@ def test_rotation_vectors_invert_the_exponential(axis, angle):
     [
         (lambda: ROBOT.forward_kinematics(D.home_q, "r_hand_dh_frm"), "Did you mean 'r_hand_dh_frame'"),
         (lambda: ROBOT.jacobian(D.home_q, "haed"), "Did you mean 'head'"),
-        (lambda: ROBOT.inverse_kinematics(np.eye(4), D.home_q, "r_hnd"), "Did you mean 'r_hand'"),
+        (lambda: ROBOT.inverse_kinematics(np.eye(4), D.home_q, "r_hnd", group="right_arm"), "Did you mean 'r_hand'"),
+        (lambda: ROBOT.inverse_kinematics(np.eye(4), D.home_q, "r_hand"), "'r_hand' is no hand's frame"),
         (lambda: ROBOT.inverse_kinematics(np.eye(4), D.home_q, FRAME, group="right_reech"), "'right_reach'"),
         (lambda: ROBOT.inverse_kinematics(np.eye(4), D.home_q, FRAME, group="left_reach"), "no joint group"),
         (lambda: ROBOT.inverse_kinematics(np.eye(4), D.home_q, "head", group="right_arm"), "neck_yaw"),
@@ -232,3 +233,14 @@ def test_a_broken_start_is_refused():
         ROBOT.inverse_kinematics(np.eye(4), np.full(32, np.nan), FRAME)
     with pytest.raises(DataError, match="q_start"):
         ROBOT.inverse_kinematics_batch([np.eye(4)], np.zeros(10), FRAME)
+
+
+def test_without_a_group_the_joints_that_carry_the_hand_move(both_hands):
+    start = both_hands.description.home_q
+    for side in ("right", "left"):
+        frame = f"{side[0]}_hand_dh_frame"
+        target = both_hands.forward_kinematics(start, frame)
+        target[:3, 3] += [-0.02, 0.0, 0.02]
+        named = both_hands.inverse_kinematics(target, start, frame, group=f"{side}_reach")
+        assert named.reached
+        assert np.array_equal(both_hands.inverse_kinematics(target, start, frame).q, named.q)

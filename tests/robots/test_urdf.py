@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from icub_core.errors import DataError
-from icub_robots import cache, models, urdf
+from icub_robots import models, urdf
 from icub_robots.description import describe
 from icub_robots.icub import ICub
+from icub_support.cache import cached_text
 
 FRAMES = ("r_hand_dh_frame", "r_hand_thumb_3", "r_hand_index_3", "r_hand_little_tip", "head", "chest", "r_forearm")
 
@@ -45,7 +46,7 @@ def test_a_damaged_cache_file_is_written_again(tmp_path, monkeypatch):
 def _write(folder: str, text: str) -> None:
     os.environ["XDG_CACHE_HOME"] = folder
     for _ in range(20):
-        cache.store_text(text, "x", ".txt")
+        cached_text("x", text, ".txt")
 
 
 def test_concurrent_writers_leave_one_whole_file(tmp_path):
@@ -56,11 +57,11 @@ def test_concurrent_writers_leave_one_whole_file(tmp_path):
         writer.start()
     seen = 0
     while any(writer.is_alive() for writer in writers):
-        for path in (tmp_path / "icub-kit").glob("x-*.txt"):
+        for path in (tmp_path / "icub-kit" / "x").glob("*.txt"):
             assert path.read_text() == text  # whatever has the final name is whole
             seen += 1
     assert all(writer.exitcode == 0 for writer in writers)
-    assert [p.read_text() for p in (tmp_path / "icub-kit").iterdir()] == [text]
+    assert [p.read_text() for p in (tmp_path / "icub-kit" / "x").iterdir()] == [text]
 
 
 def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
@@ -71,8 +72,8 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "replace", full_disk)
     with pytest.raises(DataError, match="No space left on device"):
-        cache.store_text("text", "x", ".txt")
-    assert list((tmp_path / "icub-kit").iterdir()) == []
+        cached_text("x", "text", ".txt")
+    assert list((tmp_path / "icub-kit" / "x").iterdir()) == []
 
 
 def test_an_unwritable_cache_is_one_clear_line(tmp_path, monkeypatch):

@@ -267,23 +267,25 @@ def test_all_ycb_objects_rest_where_they_were_put(engine, ycb, yaw, standing):
     assert engine.faults() == ()
 
 
-@pytest.mark.parametrize("options", [{"hands": ("right", "left")}, {"coupling": "equal_split"}, {"weld": False}])
+@pytest.mark.parametrize(
+    "options",
+    [{"hands": ("right", "left")}, {"hands": ("left",)}, {"coupling": "equal_split"}, {"weld": False}],
+)
 def test_every_variant_of_the_robot_closes_its_hands(engine, options):
     robot = ICub(**options)
     d = robot.description
     engine.load(d, Scene())
     targets = engine.actuator_positions()
-    for names in d.hand_actuators.values():
-        hand = d.actuator_indices(names)
-        targets[hand] = [0.3 * sum(d.actuators[i].range) for i in hand]
+    for hand in d.hands.values():
+        fingers = d.actuator_indices(hand.actuators)
+        targets[fingers] = [0.3 * sum(d.actuators[i].range) for i in fingers]
     engine.set_targets(targets)
     engine.step(300)
     assert engine.faults() == ()
     np.testing.assert_allclose(engine.actuator_positions(), targets, atol=0.15)
     q = engine.joint_positions()
-    for hand, frame in d.hand_frames.items():
-        if hand in d.hand_actuators:
-            np.testing.assert_allclose(engine.link_pose(frame), robot.forward_kinematics(q, frame), atol=1e-6)
+    for hand in d.hands.values():
+        np.testing.assert_allclose(engine.link_pose(hand.frame), robot.forward_kinematics(q, hand.frame), atol=1e-6)
     position = {name: q[i] for i, name in enumerate(d.joint_names)}
     for coupled in d.coupled_joints:
         assert position[coupled.joint] == pytest.approx(coupled.multiplier * position[coupled.leader], abs=0.03)

@@ -15,8 +15,6 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: batches of 11 x 11 matrices gain nothing from threads
 
-import argparse
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,14 +24,13 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.grasps.baselines import Fit, Found, load_ems, scipy_fit
-from icub_core.errors import IcubError
-from icub_core.evaluation.results import Figure, write_results
+from icub_benchmarks.results import command_line, make_parser, write_figures
 from icub_core.geometry import FloatArray
 from icub_grasp_generators.superquadrics.fit import fit_superquadric
 from icub_grasp_generators.synthetic_clouds import KINDS, TABLE_TOP, View, matched, single_view
 
-RESULTS = Path(__file__).resolve().parent / "results" / "grasps.json"
 WITHIN = 0.05
 NAMES = {"": "ours", "no_table_": "ours, no table", "ems_": "EMS", "scipy_": "scipy"}
 
@@ -82,7 +79,7 @@ def summarize(prefixes: Sequence[str], records: dict[tuple[str, str], Record]) -
         parts = [records[prefix, kind] for kind in KINDS]
         for kind, part in zip(KINDS, parts, strict=True):
             low, high = np.quantile(part.offsets, [0.5, 0.9])
-            ok = np.mean(np.array(part.errors) < WITHIN)
+            ok = float(np.mean(np.array(part.errors) < WITHIN))
             table.add_row(NAMES[prefix], kind, f"{np.median(part.ms):.1f}", f"{ok:.2f}", f"{low:.1f}, {high:.1f}")
         ms = np.concatenate([part.ms for part in parts])
         errors = np.concatenate([part.errors for part in parts])
@@ -101,36 +98,28 @@ def summarize(prefixes: Sequence[str], records: dict[tuple[str, str], Record]) -
     return figures, table
 
 
-def main() -> None:
-    """Measure, print a table, write the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(argv: Sequence[str]) -> None:
+    """Measure, print a table, write grasps.json."""
+    parser = make_parser("superquadrics", __doc__)
     parser.add_argument("--views", type=int, default=100, help="of each of the three kinds of solid")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--ems", type=Path, metavar="FOLDER", help="checkout of EMS-superquadric_fitting, the peer")
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    args = parser.parse_args()
+    options = parser.parse_args(argv)
     console = Console()
     fits: dict[str, Fit] = {
         "": lambda points: ours(points, TABLE_TOP),
         "no_table_": lambda points: ours(points, None),
         "scipy_": scipy_fit,
     }
-    if args.ems is None:
+    if options.ems is None:
         console.print("EMS is left out; --ems FOLDER names a checkout of github.com/bmlklwx/EMS-superquadric_fitting")
     else:
-        try:
-            fits["ems_"] = load_ems(args.ems)
-        except IcubError as error:
-            sys.exit(str(error))
-    rng = np.random.default_rng(args.seed)
-    views = {kind: [single_view(kind, rng) for _ in range(args.views)] for kind in KINDS}
+        fits["ems_"] = load_ems(options.ems)
+    rng = np.random.default_rng(options.seed)
+    views = {kind: [single_view(kind, rng) for _ in range(options.views)] for kind in KINDS}
     figures, table = summarize(list(fits), measure(fits, views))
     console.print(table)
-    command = f"icub benchmark superquadrics --views {args.views} --seed {args.seed}"
-    if args.ems is not None:
-        command += " --ems EMS-superquadric_fitting"
-    write_results(args.results, command=command, seed=args.seed, figures=figures)
-
-
-if __name__ == "__main__":
-    main()
+    peer = [] if options.ems is None else ["--ems", "EMS-superquadric_fitting"]
+    words = ["--views", str(options.views), "--seed", str(options.seed), *peer]  # not where the peer lies here
+    command = command_line("superquadrics", words)
+    write_figures(options.results / "grasps.json", figures, command=command, seed=options.seed)

@@ -1,7 +1,8 @@
-"""A grasp put to the test: close the hand, lift, shake, hold. The same script in any engine, for any hand.
+"""Trial of a grasp: close the hand, lift, shake, hold. The same script in any engine, for any hand.
 
-The arm's way is planned once, without a simulator, so every engine is asked the same question; what happens to fingers
-and object is the engine's own affair. Engines that agree make it less likely that a grasp only suits one of them.
+The arm's trajectory is planned once, without a simulator, so every engine executes the same one; what happens to
+fingers and object is simulated by each engine. Engines that agree make it less likely that a grasp only suits one of
+them.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.data import Grasp
-from icub_core.errors import ConfigError, unknown_name
 from icub_core.interfaces.robot import Robot
 from icub_core.interfaces.simulator import Simulator
 from icub_core.robot_description import RobotDescription
@@ -46,7 +46,7 @@ the end of its reach it turns back earlier."""
 
 
 class Outcome(Enum):
-    """What became of a grasp; only `HELD` is a success."""
+    """How the trial of a grasp ended; only `HELD` is a success."""
 
     HELD = "lifted, shaken and held"
     UNREACHABLE = "the arm does not reach the whole way"
@@ -63,7 +63,7 @@ class Trial:
     Attributes:
         q_start: (n,) joints 5 cm before the grasp, hand open.
         approach, lift, shake: (k, m) actuator commands; the fingers' columns are the open hand's.
-        hand: ``"right"`` or ``"left"``.
+        hand: Name of the hand.
     """
 
     q_start: FloatArray
@@ -74,7 +74,7 @@ class Trial:
 
 
 def plan_trial(robot: Robot, grasp: Grasp, q_seed: FloatArray) -> Trial | None:
-    """Plan the arm's whole way: straight to the grasp, straight up, two ways to and fro; None if it is out of reach.
+    """Plan the whole trajectory: straight to the grasp, straight up, along two axes to and fro; None if out of reach.
 
     Args:
         robot: Whose arm and hand.
@@ -82,9 +82,8 @@ def plan_trial(robot: Robot, grasp: Grasp, q_seed: FloatArray) -> Trial | None:
         q_seed: (n,) joints near the grasp, such as a plan's.
     """
     description = robot.description
-    if grasp.hand not in description.hand_actuators:
-        raise ConfigError(unknown_name(f"hand of robot '{description.name}'", grasp.hand, description.hand_actuators))
-    frame, group = description.hand(grasp.hand).frame, f"{grasp.hand}_reach"
+    hand = description.hand(grasp.hand)
+    frame, group = hand.frame, hand.reach
     inward = grasp.T_world_hand[:3, 3] - grasp.backed_off(NEAR)[:3, 3]
     steps = int(np.ceil((NEAR + PAST) / SPEED))
     approach = grasp.backed_off(NEAR)[:3, 3] + np.linspace(0, 1 + PAST / NEAR, steps + 1)[:, None] * inward
@@ -100,7 +99,7 @@ def plan_trial(robot: Robot, grasp: Grasp, q_seed: FloatArray) -> Trial | None:
         return None
     A, b = description.actuator_matrix()
     opened = _finger_commands(description, grasp.hand)[0]
-    fingers = description.actuator_indices(description.hand(grasp.hand).actuators)
+    fingers = description.actuator_indices(hand.actuators)
     q, phases = first.q, []
     for way in (approach, lift, shake):
         commands = np.empty((len(way), len(b)))
@@ -119,7 +118,7 @@ def plan_trial(robot: Robot, grasp: Grasp, q_seed: FloatArray) -> Trial | None:
 def run_trial(
     simulator: Simulator, description: RobotDescription, trial: Trial, name: str, T_world_object: FloatArray
 ) -> Outcome:
-    """Carry a trial out and judge it.
+    """Carry a trial out and return its outcome.
 
     Args:
         simulator: Loaded with the robot and the object; its state is lost.
@@ -176,7 +175,7 @@ class _Runner:
         return q
 
     def play(self, commands: FloatArray, closing: bool = True) -> None:
-        """Send commands (k, m), one each 25 ms; the fingers close, and go on squeezing, unless told otherwise."""
+        """Send commands (k, m), one per 25 ms; the fingers close and keep squeezing unless `closing` is False."""
         span = self._closed - self._opened
         for row in commands:
             command = row.copy()

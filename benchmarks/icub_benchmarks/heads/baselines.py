@@ -1,4 +1,4 @@
-"""Baselines of `icub benchmark heads`: scikit-learn's Nystroem and Ridge, and the FALKON library where it is installed."""
+"""Baselines of the benchmark `heads`: scikit-learn's Nystroem and Ridge, and the FALKON library if it is installed."""
 
 from __future__ import annotations
 

@@ -10,10 +10,11 @@ import numpy as np
 import torch
 from rich.progress import Progress
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.heads.baselines import sklearn_minibootstrap
 from icub_benchmarks.heads.data import LAM, SIGMA, Mixture, Sizes, mean_precision
 from icub_benchmarks.heads.timing import REPETITIONS, best_product_rate, seconds
-from icub_core.evaluation.results import Figure
+from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.minibootstrap import Minibootstrap, one_vs_rest
 from icub_segmenters.region_store import BACKGROUND, Regions, RegionStore
@@ -87,7 +88,7 @@ def minibootstrap(sizes: Sizes, seed: int, progress: Progress) -> Iterator[dict[
     def head() -> Falkon:
         return Falkon(sigma=SIGMA, penalty=LAM, n_centers=sizes.centers, selection="balanced", solver="direct")
 
-    def shared() -> torch.Tensor:
+    def shared() -> OnlineHead:
         return procedure.train_shared(head, X, label, background, sizes.classes)
 
     task = progress.add_task("Minibootstrap, ours", total=sizes.classes + 1)
@@ -100,19 +101,20 @@ def minibootstrap(sizes: Sizes, seed: int, progress: Progress) -> Iterator[dict[
         begun = time.perf_counter()
         trained = procedure.train_class(head, X, positives[c], negatives[c])
         faithful += time.perf_counter() - begun
+        assert trained is not None  # every class has positives
         scores[:, c] = trained.decision_function(X_test)[:, 0]
         progress.advance(task)
     mean_faithful = mean_precision(scores.numpy(), test_label)
     task = progress.add_task("Minibootstrap, scikit-learn", total=sizes.classes)
-    rival_scores, baseline = np.zeros((len(X_test), sizes.classes), np.float32), 0.0
+    baseline_scores, baseline = np.zeros((len(X_test), sizes.classes), np.float32), 0.0
     samples = X.numpy()
     for c in range(sizes.classes):
         begun = time.perf_counter()
         learned = sklearn_minibootstrap(procedure, sizes.centers, samples, positives[c].numpy(), negatives[c].numpy())
         baseline += time.perf_counter() - begun
-        rival_scores[:, c] = learned.score(X_test.numpy())
+        baseline_scores[:, c] = learned.score(X_test.numpy())
         progress.advance(task)
-    mean_baseline = mean_precision(rival_scores, test_label)
+    mean_baseline = mean_precision(baseline_scores, test_label)
     ours = statistics.median(times)
     yield {
         "heads.minibootstrap_s": Figure(ours, "s", (min(times), max(times)), len(times)),

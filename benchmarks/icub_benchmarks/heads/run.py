@@ -2,16 +2,16 @@
 
     icub benchmark heads
     icub benchmark heads --parts minibootstrap --seed 1
-    icub benchmark heads --quick --out /tmp/heads.json      # a smoke test: small sizes, meaningless figures
+    icub benchmark heads --quick                      # a smoke test: small sizes, meaningless figures
 
 Features are synthetic but have the structure of region features: every class and every kind of background is a mixture
 of views in a latent space, seen through random rectified units, so that classes overlap and some background is hard.
 Ours and scikit-learn get the same arrays, kernel width, lambda, number of centers, batches and thresholds in the same
 run and with the same number of threads; average precisions are measured on samples that nobody trained on.
 
-- minibootstrap: all classes by the Minibootstrap. The baseline is the faithful loop (Algorithm 1), each class with its own
-  negatives and centers, with Nystroem + Ridge in it. Ours once in that faithful mode (``_faithful``) and once shared:
-  one pool of negatives and one set of centers for all classes.
+- minibootstrap: all classes by the Minibootstrap. The baseline is the faithful loop (Algorithm 1), each class with its
+  own negatives and centers, with Nystroem + Ridge in it. Ours once in that faithful mode (``_faithful``) and once
+  shared: one pool of negatives and one set of centers for all classes.
 - limit: the shared direct solve; its arithmetic is the kernel rows, half of the symmetric Gram matrix, right sides,
   the kernel matrix of the centers, factorization and substitution.
 - sweep: single solves, n, d, M and the number of classes varied one at a time; time, accuracy and memory against
@@ -22,55 +22,42 @@ run and with the same number of threads; average precisions are measured on samp
 
 from __future__ import annotations
 
-import argparse
 import json
-import shlex
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
+from icub_benchmarks.figures import write_results
 from icub_benchmarks.heads.data import QUICK, Sizes
 from icub_benchmarks.heads.parts import limit, minibootstrap, store
 from icub_benchmarks.heads.sweep import sweep, write_report
-from icub_core.evaluation.results import write_results
+from icub_benchmarks.results import command_line, make_parser
 
-RESULTS = Path(__file__).resolve().parent / "results" / "heads.json"
 PARTS = {"limit": limit, "store": store, "sweep": sweep, "minibootstrap": minibootstrap}
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and write benchmarks/results/heads.json, after each part, so that an interrupted run keeps the others."""
-    parser = argparse.ArgumentParser(
-        prog="icub benchmark heads", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def main(argv: Sequence[str]) -> int:
+    """Measure and write heads.json after each part, so that an interrupted run keeps the others."""
+    parser = make_parser("heads", __doc__)
     parser.add_argument("--parts", nargs="+", choices=tuple(PARTS), default=tuple(PARTS))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--quick", action="store_true", help="small sizes, to see that everything runs")
-    parser.add_argument("--out", type=Path, default=RESULTS)
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(argv)
     sizes = QUICK if options.quick else Sizes()
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
-    command = shlex.join(["icub", "benchmark", "heads", *arguments])
+    file, command = options.results / "heads.json", command_line("heads", argv)
     console = Console(stderr=True)
     try:
         with Progress(console=console) as progress:
             for part in options.parts:
                 for figures in PARTS[part](sizes, options.seed, progress):
-                    write_results(options.out, command=command, seed=options.seed, figures=figures)
+                    write_results(file, command=command, seed=options.seed, figures=figures)
                     for key, figure in figures.items():
                         progress.print(f"{key:56s} {figure.value:10.3f} {figure.unit}", highlight=False)
     except KeyboardInterrupt:
         console.print("stopped; finished parts are kept, --parts names the others")
         return 130
-    figures = json.loads(options.out.read_text())["figures"]
-    written = write_report(options.out.with_name(f"{options.out.stem}_sweep"), figures)
-    for file in (options.out, *written):
-        console.print(f"written: {file}")
+    written = write_report(file.with_name("heads_sweep"), json.loads(file.read_text())["figures"])
+    for path in (file, *written):
+        print(f"written: {path}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -14,10 +14,10 @@ import torch
 from rich.progress import Progress
 from sklearn.svm import SVC
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.heads.baselines import NystroemRidge, falkon_library
 from icub_benchmarks.heads.data import LAM, SIGMA, Mixture, Sizes, mean_precision
 from icub_benchmarks.heads.timing import once, peak_memory, seconds
-from icub_core.evaluation.results import Figure
 from icub_core.files import write_bytes_atomically, write_text_atomically
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.minibootstrap import one_vs_rest
@@ -139,7 +139,7 @@ def write_report(stem: Path, figures: Mapping[str, Mapping[str, Any]]) -> list[P
     found: dict[Solve, dict[str, float]] = {}
     for key, entry in figures.items():
         match = re.fullmatch(r"heads\.sweep\.n(\d+)_d(\d+)_M(\d+)_t(\d+)\.(\w+)", key)
-        if match and key in figures:
+        if match:
             numbers = (int(match[k]) for k in range(1, 5))
             found.setdefault(Solve(*numbers), {})[match[5]] = entry["value"]
     found = {solve: row for solve, row in found.items() if "sklearn_s" in row}
@@ -149,9 +149,9 @@ def write_report(stem: Path, figures: Mapping[str, Mapping[str, Any]]) -> list[P
     write_text_atomically(table, _table(found))
     if not all(solve in found for solve in (replace(BASE, **{a: v}) for a, values in AXES.items() for v in values)):
         return [table]
-    picture = stem.with_suffix(".png")
-    write_bytes_atomically(picture, _plot(found))
-    return [table, picture]
+    image = stem.with_suffix(".png")
+    write_bytes_atomically(image, _plot(found))
+    return [table, image]
 
 
 def _table(found: Mapping[Solve, Mapping[str, float]]) -> str:

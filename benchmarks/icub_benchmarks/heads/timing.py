@@ -16,7 +16,7 @@ REPETITIONS = 5
 
 
 def best_product_rate(size: int) -> float:
-    """Return the best float32 rate, in operations a second, on square matrices: torch has both MKL and oneDNN."""
+    """Return the best float32 rate, in operations per second, on square matrices: torch has both MKL and oneDNN."""
     A, B = torch.rand(size, size), torch.rand(size, size)
     rate = 0.0
     for precision in ("highest", "medium"):
@@ -44,7 +44,7 @@ def once(call: Callable[[], object]) -> float:
 
 
 def peak_memory(call: Callable[[], object]) -> dict[str, float]:
-    """Return what a call adds to the resident memory at most, in bytes, under "bytes"; nothing where Linux cannot say.
+    """Return what a call adds to the resident memory at most, in bytes, under "bytes"; nothing outside of Linux.
 
     What the process holds but does not use is given back first; the rest of it would not be counted, so this is a lower
     bound.

@@ -2,15 +2,15 @@
 
     icub benchmark incremental
     icub benchmark incremental --runs 3
-    icub benchmark incremental --train-frames 48 --test-frames 24 --new-frames 12 --out /tmp/incremental.json
+    icub benchmark incremental --train-frames 48 --test-frames 24 --new-frames 12
 
 21 objects of the rendered table-top task are taught and learned; then another object is shown alone. It is learned by
 `OnlineSegmenter.add_classes`, which leaves the others as they are, and, from the same frames, by `update`, which trains
 all classes anew as thesis 11.8.1 does. Old classes are examined before and after on test frames on which the new object
 does not occur; the new one on frames where it stands among old ones, and so is how often it is taken for one of them.
 
-Runs are kept one by one in the work folder: interrupted, the same line goes on with the next one. They are known by
-seed, numbers of frames and overrides, not by the code: measure again with --fresh after changing it.
+Runs are kept one by one in the work folder: the same line resumes an interrupted benchmark. They are known by seed,
+numbers of frames and overrides, not by the code: measure again with --fresh after changing it.
 Rendered frames are kept in the user's cache folder and made when they are missing.
 """
 
@@ -20,28 +20,25 @@ import argparse
 import hashlib
 import json
 import math
-import shlex
 import statistics
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
+from icub_benchmarks.figures import Figure
+from icub_benchmarks.results import command_line, make_parser, work_folder, write_figures
 from icub_core.config.assembly import Assembly
 from icub_core.config.compose import compose
 from icub_core.data import Instance, RgbdFrame
-from icub_core.errors import IcubError
-from icub_core.evaluation.detection import DetectionMetrics, evaluate_instances
-from icub_core.evaluation.results import Figure, write_results
 from icub_core.files import write_text_atomically
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.scene import ObjectSpec
 from icub_datasets.rendered.objects import CLUTTER, TABLETOP, target_object
 from icub_datasets.rendered.tabletop import RenderedTabletop
+from icub_support.detection import DetectionMetrics, evaluate_instances
 
-RESULTS = Path(__file__).resolve().parent / "results" / "incremental.json"
 NEW = CLUTTER[0]
 COMPANIONS = 4
 Examples = Iterable[tuple[RgbdFrame, Sequence[Instance]]]
@@ -160,20 +157,17 @@ LARGEST = ("old_class_change", "old_class_change_retrained")
 """Of these the largest of all runs is reported, not the mean."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and write benchmarks/results/incremental.json."""
-    parser = argparse.ArgumentParser(
-        prog="icub benchmark incremental", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def main(argv: Sequence[str]) -> int:
+    """Measure, print and write incremental.json."""
+    parser = make_parser("incremental", __doc__)
     parser.add_argument("--runs", type=int, default=1)
     parser.add_argument("--train-frames", type=int, default=240, help=f"frames of the {len(TABLETOP)} old objects")
     parser.add_argument("--new-frames", type=int, default=36, help="frames of the new object")
     parser.add_argument("--test-frames", type=int, default=120)
     parser.add_argument("--overrides", nargs="*", default=[], help="of the configuration: segmenter.mode=faithful ...")
     parser.add_argument("--fresh", action="store_true", help="measure again what was measured before")
-    parser.add_argument("--work", type=Path, default=Path("runs/benchmarks/incremental"), help="folder of the runs")
-    parser.add_argument("--out", type=Path, default=RESULTS)
-    options = parser.parse_args(arguments)
+    parser.add_argument("--work", type=Path, default=work_folder("incremental"), help="folder of the runs")
+    options = parser.parse_args(argv)
     console = Console(stderr=True)
     runs = []
     try:
@@ -181,11 +175,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for seed in range(options.runs):
                 runs.append(kept_or_run(options, seed, progress))
     except KeyboardInterrupt:
-        console.print("stopped; the same line goes on after the last finished run")
+        console.print("stopped; the same line resumes after the last finished run")
         return 130
-    except IcubError as error:
-        console.print(f"error: {error}", style="red", highlight=False)
-        return 1
     figures = {}
     for key in runs[0]:
         values = [found[key] for found in runs]
@@ -193,12 +184,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
         spread = statistics.stdev(values) if len(values) > 1 else None
         figures[f"incremental.{key}"] = Figure(value, UNITS.get(key, "points"), spread, len(values))
         console.print(f"incremental.{key:32s} {value:9.3f}", highlight=False)
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
-    command = shlex.join(["icub", "benchmark", "incremental", *arguments])
-    write_results(options.out, command=command, seed=0, figures=figures)
-    console.print(f"written: {options.out}")
+    write_figures(options.results / "incremental.json", figures, command=command_line("incremental", argv))
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

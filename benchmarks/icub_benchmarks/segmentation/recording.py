@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from icub_core.construct import build
+import icub_core as icub
 from icub_core.data import Instance, RgbdFrame
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter
@@ -41,7 +41,7 @@ class Frames(Dataset):
         return self._samples[index]
 
 
-def shown_and_seen(
+def taught_and_seen(
     seed: int,
     names: Sequence[str],
     frames: int,
@@ -49,12 +49,12 @@ def shown_and_seen(
     engine: str = "mujoco",
     progress: Callable[[float, str], None] = lambda share, text: None,
 ) -> tuple[Frames, Frames]:
-    """Show objects to the robot and take test images, as the stages teach and see do.
+    """Show objects to the robot and take test images, as the stages `teach` and `see` do.
 
     Args:
         seed: Decides rooms, movements, arrangements and distractors.
-        names: What is shown, from the object set ``ycb_primitives``.
-        frames: Images of each.
+        names: Taught objects, from the object set ``ycb_primitives``.
+        frames: Images of each object.
         see: How many test images and distractors.
         engine: Registry name of the simulator.
         progress: Called with the finished share and a text.
@@ -63,29 +63,29 @@ def shown_and_seen(
         Taught frames with masks from depth, and test frames with true masks of the taught objects.
     """
     rng = np.random.default_rng([seed, *b"shown"])
-    simulator, objects = build("simulator", engine), build("objects", "ycb_primitives")
-    robot = build("robot", "icub").description
+    simulator, objects = icub.load("simulator", engine), icub.load("objects", "ycb_primitives")
+    robot = icub.load("robot", "icub").description
     try:
-        notes = _Notebook()
+        recorder = _Recorder()
         targets = [objects.get(name) for name in names]
         for number, spec in enumerate(targets):
 
             def tell(share: float, text: str, number: int = number) -> None:
                 progress(0.7 * (number + share) / len(targets), text)
 
-            seeing.teach_object(simulator, robot, spec, cast(Segmenter, notes), frames, rng, tell)
-        others = seeing.distractors(objects, names, see.distractors, rng)
+            seeing.teach_object(simulator, robot, spec, cast(Segmenter, recorder), frames, rng, tell)
+        others = seeing.distractors(objects, names, see, rng)
         test = []
         for frame, present in tabletop_pictures(simulator, targets, others, Tabletop(frames=see.frames), rng):
             test.append((frame, tuple(i for i in present if i.label in names)))
             progress(0.7 + 0.3 * len(test) / see.frames, f"{len(test)} of {see.frames} images")
     finally:
         simulator.close()
-    return Frames(notes.samples, names), Frames(test, names)
+    return Frames(recorder.samples, names), Frames(test, names)
 
 
-class _Notebook:
-    """Stands where a segmenter would and writes down what it is shown."""
+class _Recorder:
+    """Stand-in for a segmenter that records its training frames."""
 
     def __init__(self) -> None:
         self.samples: list[Sample] = []

@@ -4,14 +4,15 @@
     icub benchmark segmentation --full                                # and those that train the whole network: slow
     icub benchmark segmentation --curves                              # and precision over training time
     icub benchmark segmentation --ablation                            # what each ingredient adds, taught by showing
-    icub benchmark segmentation --quick --work /tmp/quick --out /tmp/quick.json
+    icub benchmark segmentation --quick                               # few frames, one run: does it work?
     icub benchmark segmentation --methods ours falkon,segmenter.mode=faithful --tasks tabletop --runs 1
     icub benchmark segmentation --tasks "ycb_video,path=/data/ycbv"   # any dataset plugin
 
-Trials are kept one by one in the work folder: interrupted, the same line goes on where it stopped. They are known by
-task, method and their whole configuration, not by the code: measure again with --fresh after changing it.
+Trials are kept one by one in the work folder: the same line resumes an interrupted benchmark. They are known by task,
+method and their whole configuration, not by the code: measure again with --fresh after changing it.
 
-A table (Markdown) and plots appear beside the results file.
+A table (Markdown) and plots appear beside the results file, which is segmentation.json, or segmentation_full.json when
+methods are among the results that train the whole network.
 
 Source: the shape of thesis tables 10.1, 11.1 to 11.6, 11.9 and 11.10 and figures 10.3, 11.6 and 11.7.
 """
@@ -19,59 +20,53 @@ Source: the shape of thesis tables 10.1, 11.1 to 11.6, 11.9 and 11.10 and figure
 from __future__ import annotations
 
 import argparse
-import shlex
 import statistics
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
+from icub_benchmarks.figures import Figure
+from icub_benchmarks.results import command_line, make_parser, work_folder, write_figures
 from icub_benchmarks.segmentation.methods import ABLATION, CURVES, FULL, METHODS, O_OS, OURS, OUTPUT_LAYERS, Method
 from icub_benchmarks.segmentation.trial import Trial
 from icub_benchmarks.segmentation.trial_report import HEADINGS, cell, cells, markdown_table, plot_over_time
 from icub_benchmarks.segmentation.trials import SHOWING, TASKS, Runs, find_task, run_all
 from icub_core import registry
-from icub_core.errors import ConfigError, IcubError, unknown_name
-from icub_core.evaluation.detection import MEAN_NAMES
-from icub_core.evaluation.results import Figure, write_results
+from icub_core.errors import ConfigError, unknown_name
 from icub_core.files import write_text_atomically
+from icub_support.detection import MEAN_NAMES
 
 MAIN_TASK = "tabletop"
 TABLE_WIDTH = 190
 """Columns when the output is a file or a pipe."""
-RESULTS = Path(__file__).resolve().parent / "results" / "segmentation.json"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str]) -> int:
     """Run the benchmark; returns the exit code."""
-    options = _parser().parse_args(arguments)
+    options = _parser().parse_args(argv)
     console = Console(stderr=True)
     if options.quick:
         options.train_frames, options.test_frames, options.runs = 24, 8, 1
     if options.ablation:
         options.tasks, options.methods = [SHOWING], list(dict.fromkeys([OURS, *(options.methods or ABLATION)]))
+    methods = _methods(options)
     try:
-        tasks = [find_task(text) for text in options.tasks]
-        runs = run_all(tasks, _methods(options), options, console)
+        runs = run_all([find_task(text) for text in options.tasks], methods, options, console)
     except KeyboardInterrupt:
-        console.print("stopped; the same line goes on from the last finished trial")
+        console.print("stopped; the same line resumes after the last finished trial")
         return 130
-    except IcubError as error:
-        console.print(f"error: {error}", style="red", highlight=False)
-        return 1
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
-    command = shlex.join(["icub", "benchmark", "segmentation", *arguments])
-    write_results(options.out, command=command, seed=0, figures=_figures(runs, options.ablation))
-    _write_tables(runs, options, command)
+    stem = options.results / ("segmentation_full" if any(m.name in FULL for m in methods) else "segmentation")
+    command = command_line("segmentation", argv)
+    _write_tables(runs, options, stem, command)
     _print_tables(runs)
-    console.print(f"written: {options.out}")
+    write_figures(stem.with_suffix(".json"), _figures(runs, options.ablation), command=command)
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="icub benchmark segmentation", description=(__doc__ or "").splitlines()[0])
+    parser = make_parser("segmentation", __doc__)
     parser.add_argument(
         "--tasks", nargs="+", default=sorted(TASKS, reverse=True), help="tabletop, handheld, showing, DATASET,key=value"
     )
@@ -87,8 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--test-frames", type=int, default=80)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--fresh", action="store_true", help="measure again what was measured before")
-    parser.add_argument("--work", type=Path, default=Path("runs/benchmarks/segmentation"), help="folder of the trials")
-    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--work", type=Path, default=work_folder("segmentation"), help="folder of the trials")
     return parser
 
 
@@ -128,7 +122,7 @@ def _figures(runs: Runs, ablation: bool = False) -> dict[str, Figure]:
 
 
 def _comparisons(runs: Runs) -> dict[str, Figure]:
-    """Compare ours with the baselines on the table-top task, run by run, where both were measured."""
+    """Compare ours with the baselines on the tabletop task, run by run, where both were measured."""
     figures = {}
     ours = runs.get((MAIN_TASK, OURS), [])
     if ours:
@@ -155,9 +149,10 @@ def _by_task(runs: Runs) -> dict[str, dict[str, list[Trial]]]:
     return tables
 
 
-def _write_tables(runs: Runs, options: argparse.Namespace, command: str) -> None:
+def _write_tables(runs: Runs, options: argparse.Namespace, stem: Path, command: str) -> None:
     """Write tables and plots beside the results file; an ablation has files of its own."""
-    stem = options.out.with_name(f"{options.out.stem}_ablation" if options.ablation else options.out.stem)
+    if options.ablation:
+        stem = stem.with_name(f"{stem.name}_ablation")
     text = [f"# Segmentation\n\n`{command}`\n\nmAP in percent, times in seconds, mean ± deviation over runs.\n"]
     for task, rows in _by_task(runs).items():
         frames = f"{options.train_frames} frames to learn from, {options.test_frames} to be examined on"
@@ -205,7 +200,3 @@ def _print_tables(runs: Runs) -> None:
         for method, trials in rows.items():
             table.add_row(method, *cells(trials))
         console.print(table)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

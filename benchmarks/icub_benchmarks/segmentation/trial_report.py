@@ -9,8 +9,8 @@ from pathlib import Path
 
 from icub_benchmarks.segmentation.trial import Trial
 from icub_benchmarks.segmentation.voc import RULES
-from icub_core.evaluation.detection import MEAN_NAMES
 from icub_core.files import write_bytes_atomically
+from icub_support.detection import MEAN_NAMES
 
 PARTS = ("rpn", "detection", "masks")
 HEADINGS = (
@@ -39,22 +39,28 @@ def cells(trials: Sequence[Trial]) -> list[str]:
 
 
 def markdown_table(rows: Mapping[str, Sequence[Trial]]) -> str:
-    """Return a table with a row a method: four mAPs in percent, times in seconds; and one by VOC's rules, if known."""
+    """Return a table with one row per method (four mAPs in percent, times in seconds), and one by VOC's rules."""
     lines = [f"| method | {' | '.join(HEADINGS)} |", f"| --- |{' ---: |' * len(HEADINGS)}"]
     lines += [f"| {name} | {' | '.join(cells(trials))} |" for name, trials in rows.items() if trials]
-    by_voc = {name: trials for name, trials in rows.items() if trials and all(t.voc for t in trials)}
-    return "\n".join([*lines, *_voc_table(by_voc), ""])
+    return "\n".join([*lines, *_voc_table({name: trials for name, trials in rows.items() if trials}), ""])
 
 
 def _voc_table(rows: Mapping[str, Sequence[Trial]]) -> list[str]:
-    """Return the lines of a table of the four means by each of VOC's rules; none without methods."""
-    if not rows:
+    """Return the lines of a table of the four means by each of VOC's rules; none where no trial has them.
+
+    A method some of whose trials lack them, because they were kept by a version that did not measure them, says so.
+    """
+    if not any(trial.voc for trials in rows.values() for trial in trials):
         return []
     headings = [f"{heading}, {rule}" for rule in RULES for heading in HEADINGS[: len(MEAN_NAMES)]]
     lines = ["", "By the rules of PASCAL VOC, the thesis's metric:", ""]
     lines += [f"| method | {' | '.join(headings)} |", f"| --- |{' ---: |' * len(headings)}"]
     for name, trials in rows.items():
-        values = [cell([100 * t.voc[rule][mean] for t in trials], 1) for rule in RULES for mean in MEAN_NAMES]
+        missing = sum(not t.voc for t in trials)
+        if missing:
+            values = [f"n/a ({len(trials) - missing} of {len(trials)} trials)"] * len(RULES) * len(MEAN_NAMES)
+        else:
+            values = [cell([100 * t.voc[rule][mean] for t in trials], 1) for rule in RULES for mean in MEAN_NAMES]
         lines.append(f"| {name} | {' | '.join(values)} |")
     return lines
 

@@ -15,20 +15,22 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from icub_benchmarks.segmentation.head_clock import heads_share
 from icub_benchmarks.segmentation.methods import Method, setting
-from icub_benchmarks.segmentation.recording import shown_and_seen
+from icub_benchmarks.segmentation.recording import taught_and_seen
 from icub_benchmarks.segmentation.trial import Trial, run_trial
 from icub_core import registry
+from icub_core.config.compose import compose
 from icub_core.construct import build
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.files import write_text_atomically
+from icub_core.interfaces.abilities import Closable
 from icub_core.interfaces.dataset import Dataset
-from icub_pipelines.settings import SHOWN, SeeSettings
+from icub_pipelines.settings import SeeSettings
 
 TASKS = {"tabletop": "rendered_tabletop", "handheld": "rendered_handheld"}
 SHOWING = "showing"
 """The main job's own task: objects shown one after another, examined on a table among distractors."""
-MIN_SHOWN = 12
-"""Frames in which an object is shown at least: with fewer the gaze may lose it."""
+MIN_TAUGHT = 12
+"""Fewest frames in which an object is shown: with fewer the gaze may lose it."""
 SHARE_FRAMES = 20
 
 
@@ -43,11 +45,13 @@ class Task:
     def splits(self, train: int, test: int, run: int) -> tuple[Dataset, Dataset]:
         """Build both splits; only rendered sets have a number of frames to choose.
 
-        The objects that are shown are other ones in every run; the rendered tasks are the same.
+        Rooms, movements and distractors of the task `SHOWING` are other ones in every run; the rendered tasks are the
+        same.
         """
         if self.name == SHOWING:
-            frames = max(MIN_SHOWN, train // len(SHOWN))
-            return shown_and_seen(run, SHOWN, frames, SeeSettings(frames=test))
+            names = list(compose().pipeline.teach.preferred)
+            frames = max(MIN_TAUGHT, train // len(names))
+            return taught_and_seen(run, names, frames, SeeSettings(frames=test))
         return self._split("train", train), self._split("test", test)
 
     def _split(self, split: str, frames: int) -> Dataset:
@@ -69,6 +73,7 @@ Runs = dict[tuple[str, str], list[Run]]
 
 
 def find_task(text: str) -> Task:
+    """Read a task: a name of `TASKS`, `SHOWING`, or a dataset plugin with settings, ``NAME,key=value``."""
     name, *settings = text.split(",")
     plugin = TASKS.get(name, name)
     if name == SHOWING:
@@ -108,9 +113,8 @@ def run_all(tasks: list[Task], methods: list[Method], options: argparse.Namespac
                     runs[task.name, method.name].append(run)
                     progress(1.0, f"mask mAP50 {100 * run.trial.metrics.map50_segm:.1f}")
                 for dataset in data:
-                    close = getattr(dataset, "close", None)
-                    if close is not None:
-                        close()
+                    if isinstance(dataset, Closable):
+                        dataset.close()
     return runs
 
 

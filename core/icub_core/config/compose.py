@@ -7,7 +7,7 @@ cfg = compose(["segmenter=falkon", "policy=resprect", "seed=3"])
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -31,13 +31,20 @@ VERSION_BASE = "1.3"
 PRIMARY = "config"
 
 
-def compose(overrides: Sequence[str] = (), config_dir: Path | None = None, *, with_hydra: bool = False) -> DictConfig:
+def compose(
+    overrides: Sequence[str] = (),
+    config_dir: Path | None = None,
+    *,
+    with_hydra: bool = False,
+    read: Collection[str] = (),
+) -> DictConfig:
     """Compose and check the configuration of a run.
 
     Args:
         overrides: As typed after ``icub run``.
         config_dir: Another folder to search, as ``--config-dir``.
         with_hydra: Keep Hydra's own node, for a run folder and its log.
+        read: Kinds whose plugins the caller itself uses; others that no plugin of the run asks for are refused.
 
     Raises:
         ConfigError: An unknown name, a wrong type or a plugin that another one needs and that is not chosen.
@@ -52,7 +59,7 @@ def compose(overrides: Sequence[str] = (), config_dir: Path | None = None, *, wi
         hydra.initialize_config_dir(version_base=VERSION_BASE, config_dir=str(config_folders()[0]), job_name="icub"),
     ):
         config = _composed(rewritten, with_hydra)
-        check(config)
+        check(config, read)
         return config
 
 
@@ -95,10 +102,10 @@ def _settings() -> tuple[str, ...]:
     return tuple(str(key) for key in primary if key not in ("defaults", "hydra", *KINDS))
 
 
-def check(config: DictConfig) -> None:
+def check(config: DictConfig, read: Collection[str] = ()) -> None:
     """Refuse what composition alone lets through: wrong settings, added keys, a plugin that is missing or unused."""
     check_run_settings(config)
-    asked: set[str] = set()
+    asked = set(read)
     for kind in KINDS:
         node = config.get(kind)
         if node is None:
@@ -110,13 +117,14 @@ def check(config: DictConfig) -> None:
             asked.add(dependency.name)
             if dependency.required and dependency.name in KINDS and config.get(dependency.name) is None:
                 raise missing_dependency(kind, name, dependency.name)
-    # the stages of a run see the simulated world, so a data set would be ignored
-    if config.get("dataset") is not None and "dataset" not in asked:
-        name, _ = split_config("dataset", config.dataset)
-        raise ConfigError(
-            f"dataset={name} is set, but nothing in this run reads a data set; leave it out: "
-            "data sets are for benchmarks and programs"
-        )
+    # the stages of a run see the simulated world, so recorded data would be ignored
+    for kind, what in (("dataset", "data set"), ("episodes", "recorded episode")):
+        if config.get(kind) is not None and kind not in asked:
+            name, _ = split_config(kind, config[kind])
+            raise ConfigError(
+                f"{kind}={name} is set, but nothing in this run reads a {what}; leave it out: "
+                f"{what}s are for benchmarks and programs"
+            )
 
 
 @contextmanager

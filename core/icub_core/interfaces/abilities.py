@@ -17,13 +17,13 @@ import torch
 from numpy.typing import NDArray
 
 from icub_core.data import Grasp
+from icub_core.interfaces.closable import Closable
 from icub_core.interfaces.feature_extractor import ImageFeatures, RpnCells
 from icub_core.interfaces.policy import LearnReport, Progress
 from icub_core.interfaces.robot import GazeSolution
 from icub_core.interfaces.segmenter import UpdateReport
 from icub_core.interfaces.simulator import Simulator
 from icub_core.interfaces.task import Start, Task
-from icub_core.run import Closable as Closable
 from icub_core.scene import Light, Material, Table
 
 
@@ -190,3 +190,19 @@ class SharesKernel(Protocol):
 
     def with_at_most(self, centers: int) -> Self:
         """Return an untrained head of the same configuration that chooses at most so many centers."""
+
+
+__all__ = [
+    "AddsClasses",
+    "ChangesAppearance",
+    "ChecksCollisions",
+    "Closable",
+    "HasGaze",
+    "HasMaskBranch",
+    "HasWeights",
+    "KernelSystem",
+    "Learns",
+    "ProposesCells",
+    "SharesKernel",
+    "TriesGrasps",
+]

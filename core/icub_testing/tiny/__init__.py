@@ -13,6 +13,7 @@ TINY: dict[str, str] = {
     "robot": "icub_testing.tiny.robot:TinyRobot",
     "objects": "icub_testing.tiny.things:TinyObjects",
     "dataset": "icub_testing.tiny.things:TinyDataset",
+    "episodes": "icub_testing.tiny.things:TinyEpisodes",
     "task": "icub_testing.tiny.task:TinyTask",
     "pipeline": "icub_testing.tiny.pipeline:TinyPipeline",
 }

@@ -11,15 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.files import write_text_atomically
-from icub_core.geometry import invert, look_at, make_transform, matrix_to_quat_wxyz, rotation_log
+from icub_core.geometry import FloatArray, invert, look_at, make_transform, matrix_to_quat_wxyz, rotation_log
 from icub_core.interfaces.robot import IkSolution, Robot
 from icub_core.robot_description import Actuator, Grip, HandDescription, JointDynamics, RobotCamera, RobotDescription
-
-FloatArray = NDArray[np.float64]
 
 HAND_FRAME = "tiny_hand"
 CAMERA = "tiny_camera"
@@ -127,7 +124,7 @@ def _actuators() -> tuple[Actuator, ...]:
 
 @functools.cache
 def _urdf_file() -> Path:
-    """Write the robot's file once a process; loaders need one on disk."""
+    """Write the robot's file once per process; loaders need one on disk."""
     path = Path(_folder().name) / "tiny.urdf"
     write_text_atomically(path, _urdf())
     return path

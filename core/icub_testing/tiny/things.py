@@ -11,6 +11,7 @@ from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.geometry import look_at, pinhole
 from icub_core.interfaces.dataset import Dataset
+from icub_core.interfaces.episodes import Episode, Episodes, Step
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.scene import Geom, Material, ObjectSpec
 
@@ -113,3 +114,58 @@ class TinyDataset(Dataset):
             str(c): (int(rng.integers(20, 140)), int(rng.integers(20, 100)), int(rng.integers(8, 18))) for c in colors
         }
         return draw_frame(places, seed=int(rng.integers(2**31)))
+
+
+class TinyEpisode(Episode):
+    """A hand that carries a disc to the right: one image, its place and its velocity per step.
+
+    Args:
+        color: Of the disc; also decides the noise.
+        length: Number of steps.
+    """
+
+    def __init__(self, color: str, length: int) -> None:
+        self._color = color
+        self._length = length
+
+    @property
+    def task(self) -> str:
+        """What all demonstrations of this color share."""
+        return f"carry {self._color}"
+
+    @property
+    def instruction(self) -> str:
+        """The task in words."""
+        return f"Carry the {self._color} disc to the right."
+
+    def __len__(self) -> int:
+        """Number of steps."""
+        return self._length
+
+    def __getitem__(self, index: int) -> Step:
+        """Draw step `index`."""
+        if not 0 <= index < self._length:
+            raise IndexError(f"step {index} of {self._length}")
+        frame, _ = draw_frame({self._color: (30 + 10 * index, 60, 12)}, seed=index)
+        velocity = [0.1 if index + 1 < self._length else 0.0, 0.0, 0.0]
+        state = {"position": np.array([0.1 * index, 0.0, 0.2]), "velocity": np.array(velocity)}
+        return Step({"camera": frame.rgb}, {"camera": frame.depth}, state, np.array(velocity))
+
+
+class TinyEpisodes(Episodes):
+    """One demonstration per color.
+
+    Args:
+        steps: Steps of every episode.
+    """
+
+    def __init__(self, steps: int = 3) -> None:
+        self._episodes = tuple(TinyEpisode(color, steps) for color in COLORS)
+
+    def __len__(self) -> int:
+        """Number of episodes."""
+        return len(self._episodes)
+
+    def __getitem__(self, index: int) -> Episode:
+        """Return the episode of one color."""
+        return self._episodes[index]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from typing import Generic, TypeVar
+from typing import Generic, Literal, TypeVar, get_args
 
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import ConfigError, DataError, unknown_name
@@ -15,7 +15,7 @@ logger = logging.getLogger(__name__)
 
 Item = TypeVar("Item")
 Sample = tuple[RgbdFrame, tuple[Instance, ...]]
-ON_ERROR = ("refuse", "skip")
+OnError = Literal["refuse", "skip"]
 
 
 class FileDataset(Dataset, Generic[Item]):
@@ -27,12 +27,12 @@ class FileDataset(Dataset, Generic[Item]):
         classes: Class names, in the order of the data set.
         items: What `_read` needs to find each frame.
         on_error: What iterating does about a frame that cannot be read: ``"refuse"`` raises the DataError that names
-            the file; ``"skip"`` logs it as a warning and goes on. Asking for such a frame by index always raises.
+            the file; ``"skip"`` logs it as a warning and continues. Asking for such a frame by index always raises.
     """
 
-    def __init__(self, classes: Sequence[str], items: Sequence[Item], on_error: str) -> None:
-        if on_error not in ON_ERROR:
-            raise ConfigError(unknown_name("on_error choice", on_error, ON_ERROR))
+    def __init__(self, classes: Sequence[str], items: Sequence[Item], on_error: OnError) -> None:
+        if on_error not in get_args(OnError):
+            raise ConfigError(unknown_name("on_error choice", on_error, get_args(OnError)))
         self._classes = tuple(classes)
         self._items = items
         self._skip = on_error == "skip"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import DataError
 from icub_core.geometry import pinhole
-from icub_datasets.base import FileDataset, Sample
+from icub_datasets.base import FileDataset, OnError, Sample
 from icub_datasets.reading import read_json, read_rgb, require_folder
 
 UNKNOWN_FOVY = 0.741
@@ -40,12 +40,12 @@ class Coco(FileDataset[_Item]):
         on_error: ``"refuse"`` or ``"skip"`` frames that cannot be read, see `FileDataset`.
     """
 
-    def __init__(self, path: Path, split: str = "val2017", on_error: str = "refuse") -> None:
+    def __init__(self, path: Path, split: str = "val2017", on_error: OnError = "refuse") -> None:
         path = require_folder(path, "COCO", ["annotations"])
         file = path / "annotations" / f"instances_{split}.json"
         if not file.is_file():
-            known = sorted(p.stem.removeprefix("instances_") for p in (path / "annotations").glob("instances_*.json"))
-            raise DataError(f"{path} has no split '{split}'; expected {file.name}. Found: {', '.join(known) or 'none'}")
+            known = ", ".join(_splits(path)) or "none"
+            raise DataError(f"{path} has no split '{split}'; expected {file.name}. Found: {known}")
         require_folder(path, f"COCO's split '{split}'", [split])
         content = read_json(file)
         try:
@@ -66,6 +66,12 @@ class Coco(FileDataset[_Item]):
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise DataError(f"{file} is not in COCO's format: {type(error).__name__} {error}") from error
         super().__init__(tuple(categories.values()), items, on_error)
+        self._path = path
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Names of the annotation files."""
+        return _splits(self._path)
 
     def _read(self, item: _Item) -> Sample:
         rgb = read_rgb(item.image)
@@ -79,6 +85,11 @@ class Coco(FileDataset[_Item]):
                 instances.append(Instance.from_mask(label, mask))
         frame = RgbdFrame(rgb, np.zeros(size, np.float32), pinhole(size[1], size[0], UNKNOWN_FOVY), np.eye(4))
         return frame, tuple(instances)
+
+
+def _splits(path: Path) -> tuple[str, ...]:
+    files = sorted((path / "annotations").glob("instances_*.json"))
+    return tuple(file.stem.removeprefix("instances_") for file in files)
 
 
 def _decode(segmentation: Any, size: tuple[int, int], image: Path) -> NDArray[np.bool_]:

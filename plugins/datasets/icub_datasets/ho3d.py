@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import ConfigError, DataError, unknown_name
-from icub_datasets.base import FileDataset, Sample
+from icub_datasets.base import FileDataset, OnError, Sample
 from icub_datasets.reading import find_image, list_images, read_rgb, require_folder
 from icub_datasets.unpickle import load_plain_pickle
 
@@ -28,7 +29,8 @@ _OBJECT_OF_PREFIX = {
     "SMu": "025_mug", "SS": "004_sugar_box",
 }  # fmt: skip
 """A sequence's name is its object's letters and a number."""
-SEQUENCES = {
+Split = Literal["train", "val", "test"]
+SEQUENCES: dict[Split, tuple[str, ...]] = {
     "train": (
         "ABF10", "ABF11", "ABF12", "ABF13", "BB10", "BB11", "BB12", "BB13", "GPMF10", "GPMF11", "GPMF12", "GPMF13",
         "GSF10", "GSF11", "GSF12", "GSF13", "MC1", "MC2", "MC4", "MC5", "MDF10", "MDF11", "MDF12", "MDF13", "ShSu10",
@@ -40,7 +42,7 @@ SEQUENCES = {
 """Thesis, appendix B of chapter 11."""
 STEP = {"train": 2, "val": 5, "test": 5}
 DEPTH_UNIT = 0.00012498664727900177
-"""Meters a unit of the 16-bit depth."""
+"""Meters per unit of the 16-bit depth."""
 OBJECT_BLUE = 100
 """Least blue of an object's pixel; the hand is red, the rest black, and JPEG blurs both."""
 
@@ -74,7 +76,7 @@ class Ho3d(FileDataset[_Item]):
     Source: thesis 11.4.2 and appendix 11.11.
     """
 
-    def __init__(self, path: Path, split: str = "train", on_error: str = "refuse") -> None:
+    def __init__(self, path: Path, split: Split = "train", on_error: OnError = "refuse") -> None:
         if split not in SEQUENCES:
             raise ConfigError(unknown_name("split of ho3d", split, SEQUENCES))
         path = require_folder(path, "HO-3D v2", ["train"])
@@ -85,6 +87,11 @@ class Ho3d(FileDataset[_Item]):
             items += [_Item(folder, image.stem) for image in list_images(folder / "seg")]
         # the step runs on through the joined list; it does not start again in each sequence
         super().__init__(HO3D_CLASSES, items[:: STEP[split]], on_error)
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Names of the thesis's splits."""
+        return tuple(SEQUENCES)
 
     def _read(self, item: _Item) -> Sample:
         rgb = read_rgb(find_image(item.sequence / "rgb", item.frame))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import DataError
 from icub_core.geometry import pinhole
-from icub_datasets.base import FileDataset, Sample
+from icub_datasets.base import FileDataset, OnError, Sample
 from icub_datasets.reading import list_images, read_depth, read_json, read_mask, read_rgb, require_folder
 
 UNKNOWN_FOVY = 0.741
@@ -28,7 +28,7 @@ class _Item:
 
 
 class ImageFolder(FileDataset[_Item]):
-    """A folder of images and of one mask file an instance, named by its class.
+    """A folder of images and of one mask file per instance, named by its class.
 
     Layout::
 
@@ -37,8 +37,8 @@ class ImageFolder(FileDataset[_Item]):
         masks/kitchen_01/cup.2.png        a second cup
         masks/kitchen_02/                 empty or absent: nothing in this image
         depth/kitchen_01.png              optional, 16 bits
-        camera.json                       optional: {"cam_K": [9 numbers], "depth_scale": millimeters a unit}
-        train.txt, test.txt, ...          optional: image names without suffix, one a line
+        camera.json                       optional: {"cam_K": [9 numbers], "depth_scale": millimeters per unit}
+        train.txt, test.txt, ...          optional: image names without suffix, one per line
 
     Args:
         path: The folder.
@@ -46,17 +46,15 @@ class ImageFolder(FileDataset[_Item]):
         on_error: ``"refuse"`` or ``"skip"`` frames that cannot be read, see `FileDataset`.
     """
 
-    def __init__(self, path: Path, split: str = "all", on_error: str = "refuse") -> None:
+    def __init__(self, path: Path, split: str = "all", on_error: OnError = "refuse") -> None:
         path = require_folder(path, "images with masks", ["images", "masks"])
         by_name = {image.stem: image for image in list_images(path / "images")}
         if not by_name:
             raise DataError(f"{path / 'images'} holds no images; expected png, jpg, bmp, tif or webp files")
         all_items = {name: _Item(image, _masks_of(path / "masks" / name)) for name, image in by_name.items()}
-        distractors = sorted({p.name for p in (path / "masks").iterdir() if p.is_dir()} - set(by_name))
-        if distractors:
-            raise DataError(
-                f"{path / 'masks' / distractors[0]} belongs to no image; expected images/{distractors[0]}.*"
-            )
+        orphans = sorted({p.name for p in (path / "masks").iterdir() if p.is_dir()} - set(by_name))
+        if orphans:
+            raise DataError(f"{path / 'masks' / orphans[0]} belongs to no image; expected images/{orphans[0]}.*")
         # classes come from all images, so that every split of a folder has the same
         classes = sorted({label for item in all_items.values() for label, _ in item.masks})
         if not classes:
@@ -65,6 +63,11 @@ class ImageFolder(FileDataset[_Item]):
         super().__init__(classes, items, on_error)
         self._path = path
         self._camera = _read_camera(path / "camera.json")
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """``"all"``, and the names of the lists in the folder."""
+        return _splits(self._path)
 
     def _read(self, item: _Item) -> Sample:
         rgb = read_rgb(item.image)
@@ -88,12 +91,16 @@ def _masks_of(folder: Path) -> tuple[tuple[str, Path], ...]:
     return tuple((re.sub(r"\.\d+$", "", file.stem), file) for file in list_images(folder))
 
 
+def _splits(path: Path) -> tuple[str, ...]:
+    return "all", *sorted(file.stem for file in path.glob("*.txt"))
+
+
 def _names(path: Path, split: str, known: dict[str, Path]) -> list[str]:
     file = path / f"{split}.txt"
     if Path(split).name != split or not file.is_file():
-        lists = ", ".join(["all", *sorted(p.stem for p in path.glob("*.txt"))])
+        splits = ", ".join(_splits(path))
         raise DataError(
-            f"{path} has no split '{split}'; expected one of {lists} (a list NAME.txt makes the split NAME)"
+            f"{path} has no split '{split}'; expected one of {splits} (a list NAME.txt makes the split NAME)"
         )
     names = file.read_text(encoding="utf-8", errors="replace").split()
     for name in names:
@@ -103,11 +110,11 @@ def _names(path: Path, split: str, known: dict[str, Path]) -> list[str]:
 
 
 def _read_camera(file: Path) -> tuple[NDArray[np.float64] | None, float]:
-    """Return intrinsics (None when unknown) and meters a depth unit (1 mm when unknown)."""
+    """Return intrinsics (None when unknown) and meters per depth unit (1 mm when unknown)."""
     if not file.exists():
         return None, MILLIMETRE
     content: Any = read_json(file)
     try:
         return np.array(content["cam_K"], dtype=np.float64).reshape(3, 3), MILLIMETRE * float(content["depth_scale"])
     except (KeyError, TypeError, ValueError) as error:
-        raise DataError(f"{file}: expected cam_K (9 numbers) and depth_scale (millimeters a unit)") from error
+        raise DataError(f"{file}: expected cam_K (9 numbers) and depth_scale (millimeters per unit)") from error

@@ -93,7 +93,7 @@ def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def read_depth(path: Path, scale: float, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Decode a depth image (H, W) float32 meters, `scale` meters a unit.
+    """Decode a depth image (H, W) float32 meters, `scale` meters per unit.
 
     Raises:
         DataError: Unreadable, or not of `size` (H, W).

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import ConfigError, DataError, unknown_name
 from icub_core.geometry import invert, is_rigid, make_transform
-from icub_datasets.base import FileDataset, Sample
+from icub_datasets.base import FileDataset, OnError, Sample
 from icub_datasets.reading import find_image, list_images, read_depth, read_json, read_mask, read_rgb, require_folder
 
 YCB_VIDEO_CLASSES = (
@@ -24,7 +24,8 @@ YCB_VIDEO_CLASSES = (
     "040_large_marker", "051_large_clamp", "052_extra_large_clamp", "061_foam_brick",
 )  # fmt: skip
 """By BOP object number, from 1."""
-SPLITS = ("train", "val", "test")
+Split = Literal["train", "val", "test"]
+SPLITS: tuple[Split, ...] = get_args(Split)
 TRAIN_STEP = 10
 VALIDATION_FRAMES = 1000
 VALIDATION_SEED = 0
@@ -62,7 +63,7 @@ class YcbVideo(FileDataset[_Item]):
     Source: thesis 10.4.1 and 11.4.2; BOP data set format.
     """
 
-    def __init__(self, path: Path, split: str = "train", on_error: str = "refuse") -> None:
+    def __init__(self, path: Path, split: Split = "train", on_error: OnError = "refuse") -> None:
         if split not in SPLITS:
             raise ConfigError(unknown_name("split of ycb_video", split, SPLITS))
         folder = "train_real" if split == "train" else "test"
@@ -80,6 +81,11 @@ class YcbVideo(FileDataset[_Item]):
                 order = np.random.default_rng(VALIDATION_SEED).permutation(len(others))[:VALIDATION_FRAMES]
                 items = [others[i] for i in sorted(order)]
         super().__init__(YCB_VIDEO_CLASSES, items, on_error)
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Names of the thesis's splits."""
+        return SPLITS
 
     def _read(self, item: _Item) -> Sample:
         scene = _scene(item.scene)
@@ -103,7 +109,7 @@ class YcbVideo(FileDataset[_Item]):
 class _Camera:
     intrinsics: NDArray[np.float64]
     T_world_camera: NDArray[np.float64]
-    depth_scale: float  # meters a unit
+    depth_scale: float  # meters per unit
 
 
 class _Scene:

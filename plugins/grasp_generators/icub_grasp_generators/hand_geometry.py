@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from icub_core.geometry import FloatArray, invert, make_transform, rotation_about
 from icub_core.interfaces.robot import Robot
+from icub_grasp_generators.planned_hand import PlannedHand, planned_hand
 
 _SPACING = 0.008  # meters between spheres along a link
 _CELL = 0.004  # meters, edge of a cell of the occupancy grid
@@ -64,28 +65,37 @@ class HandGeometry:
     """What of a robot comes near the object and the table.
 
     Attributes:
+        name: Of the hand.
         frame: The hand frame that grasps are stated in.
+        reach: Joint group that places it.
         hand: The hand as it waits before a grasp (the home pose of its fingers), in the hand frame.
         occupancy: The same as a grid.
+        planned: How poses of the hand are drawn.
+        planned_body: The same as `hand`, in the frame in which poses are drawn.
         forearm_link: The last link above the hand that has a collision body, or None.
         forearm: That body in its link's frame; empty without such a link.
     """
 
+    name: str
     frame: str
+    reach: str
     hand: Spheres
     occupancy: Occupancy
+    planned: PlannedHand
+    planned_body: Spheres
     forearm_link: str | None
     forearm: Spheres
 
 
-def read_hand_geometry(robot: Robot, hand: str) -> HandGeometry:
-    """Collect the collision bodies of one hand at the home pose.
+def read_hand_geometry(robot: Robot, hand: str | None = None) -> HandGeometry:
+    """Collect the collision bodies of one hand, the robot's first by default, at the home pose.
 
     Raises:
-        ConfigError: The robot has no such hand.
+        ConfigError: The robot has no such hand, or its description does not say where the hand holds.
     """
     description = robot.description
-    frame = description.hand(hand).frame
+    chosen, planned = description.hand(hand), planned_hand(description, hand)
+    frame = chosen.frame
     root = ET.parse(description.urdf).getroot()
     bodies = {link.attrib["name"]: _spheres_of(link) for link in root.findall("link")}
     parent = {j.find("child").attrib["link"]: j.find("parent").attrib["link"] for j in root.findall("joint")}  # type: ignore[union-attr]
@@ -107,11 +117,15 @@ def read_hand_geometry(robot: Robot, hand: str) -> HandGeometry:
     arm = bodies[forearm] if forearm is not None else None
     spheres = Spheres(np.concatenate(centers), np.concatenate(radii))
     return HandGeometry(
-        frame,
-        spheres,
-        Occupancy(spheres),
-        forearm,
-        arm if arm is not None else Spheres(np.zeros((0, 3)), np.zeros(0)),
+        name=chosen.name,
+        frame=frame,
+        reach=chosen.reach,
+        hand=spheres,
+        occupancy=Occupancy(spheres),
+        planned=planned,
+        planned_body=Spheres(planned.from_hand(spheres.centers), spheres.radii),
+        forearm_link=forearm,
+        forearm=arm if arm is not None else Spheres(np.zeros((0, 3)), np.zeros(0)),
     )
 
 

@@ -31,12 +31,12 @@ class HandGeometries:
     def __init__(self) -> None:
         self._known: weakref.WeakKeyDictionary[Robot, dict[str, HandGeometry]] = weakref.WeakKeyDictionary()
 
-    def get(self, robot: Robot, hand: str) -> HandGeometry:
-        """Return one hand; raises ConfigError when the robot has no such hand."""
-        hands = self._known.setdefault(robot, {})
-        if hand not in hands:
-            hands[hand] = read_hand_geometry(robot, hand)
-        return hands[hand]
+    def get(self, robot: Robot, hand: str | None = None) -> HandGeometry:
+        """Return one hand, the robot's first by default; raises ConfigError when the robot has no such hand."""
+        name, hands = robot.description.hand(hand).name, self._known.setdefault(robot, {})
+        if name not in hands:
+            hands[name] = read_hand_geometry(robot, name)
+        return hands[name]
 
 
 def clears_table(points: FloatArray, radii: FloatArray, table: Table | None) -> NDArray[np.bool_]:
@@ -107,7 +107,7 @@ class Reach:
             [on_way(grasp, offset) for grasp in grasps],
             home,
             self._geometry.frame,
-            group=f"{grasps[0].hand}_reach",
+            group=self._geometry.reach,
             max_iterations=_IK_ITERATIONS,
         )
         kept = []
@@ -125,9 +125,9 @@ class Reach:
         return bool(clears_table(forearm.at(self._robot.forward_kinematics(q, link)), forearm.radii, self._table))
 
     def _on_one_way(self, grasp: Grasp) -> bool:
-        """Return True if the arm gets from home to the first pre-grasp and from there, without a jump, along the way."""
+        """Return True if the arm gets from home to the first pre-grasp and on from there without a jump."""
         q = self._robot.description.home_q
-        group = f"{grasp.hand}_reach"
+        group = self._geometry.reach
         for step, offset in enumerate(sorted(WAY, reverse=True)):
             solution = self._robot.inverse_kinematics(on_way(grasp, offset), q, self._geometry.frame, group=group)
             if not solution.reached or (step > 0 and float(np.abs(solution.q - q).max()) > _MAX_JUMP):

@@ -20,8 +20,8 @@ class Demonstrations(Policy):
     """Scripted grasp: straight to the planned pose, fingers closed adaptively, then up.
 
     Closing step k of K commands each finger to min(q + D / rate, open + D k / K), with D = close - open and q the
-    measured length; during the lift the last of these offsets stays. The policy needs no memory: it reads the plan and
-    the step number, which the robot knows.
+    measured length (max where D is negative); during the lift the last of these offsets stays. The policy needs no
+    memory: it reads the plan and the step number, which the robot knows.
 
     DIFF to the thesis, each found by measurement on this robot (clean poses and poses with 15 mm / 0.2 rad errors):
     the finger lead is D/25 as in the released code (with D/250 the servos never overcome the finger joints' damping);
@@ -79,6 +79,7 @@ class Demonstrations(Policy):
         action[:, :3] = torch.where(approaching[:, None], direction * per_step[:, None], 0.0)
         action[:, 2] += (step >= approach_steps + self._closing_steps).float()  # lift: as fast as an action moves
         span = closed - opened
-        offset = torch.minimum(span / self._rate, opened + span * (k / self._closing_steps)[:, None] - fingers)
+        lead, due = span / self._rate, opened + span * (k / self._closing_steps)[:, None] - fingers
+        offset = torch.where(span < 0, torch.maximum(lead, due), torch.minimum(lead, due))
         action[:, 6:] = torch.where(approaching[:, None], 0.0, offset / self._scale[6:])
         return action.clamp_(-1.0, 1.0)

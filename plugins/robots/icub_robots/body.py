@@ -7,6 +7,7 @@ contact exclusions from the simulated iCub of hsp-iit/rl-icub-dexterous-manipula
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 
@@ -31,7 +32,8 @@ _IKIN_ARM = {
 }
 _IKIN_TORSO = {"torso_pitch": (-0.38397, 1.46608), "torso_roll": (-0.68068, 0.68068), "torso_yaw": (-1.02974, 1.02974)}
 
-LIMIT_SETS: dict[str, dict[str, tuple[float, float]]] = {
+LimitSet = Literal["ikin", "urdf"]
+LIMIT_SETS: dict[LimitSet, dict[str, tuple[float, float]]] = {
     "ikin": {**_IKIN_TORSO, **{f"{side}_{joint}": r for side in "rl" for joint, r in _IKIN_ARM.items()}},
     "urdf": {},
 }

@@ -10,13 +10,10 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from icub_core.geometry import rpy_to_matrix
+from icub_core.geometry import FloatArray, rpy_to_matrix
 from icub_core.scene import Table
 from icub_robots.kinematics.model import PinocchioModel
-
-FloatArray = NDArray[np.float64]
 
 TABLE = "table"
 _TRUNK = ("root_link", "torso_1", "torso_2", "chest", "head", "r_hip_1", "l_hip_1", "r_upper_leg", "l_upper_leg")

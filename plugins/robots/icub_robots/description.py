@@ -3,47 +3,62 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Literal, get_args
 
 import numpy as np
 
 from icub_core.errors import ConfigError, unknown_name
-from icub_core.geometry import make_transform
+from icub_core.geometry import make_transform, rotation_about
 from icub_core.robot_description import Actuator, ContactMaterial, Grip, HandDescription, RobotDescription
 from icub_robots import body
-from icub_robots.cache import store_text
 from icub_robots.hand_meshes import hand_shapes
-from icub_robots.hand_table import SIDES, Hand, load_hand
-from icub_robots.models import BODY_MODEL, MODELS
+from icub_robots.hand_table import SIDES, Hand, Side, load_hand
+from icub_robots.models import BODY_MODEL, MODELS, Model
 from icub_robots.urdf import assemble, joint_limits, root_transform
+from icub_support.cache import cached_text
 
-COUPLINGS = ("tendon", "equal_split")
+Coupling = Literal["tendon", "equal_split"]
 WORKSPACE = np.array([[-0.65, -0.45, 0.93], [0.0, 0.55, 1.60]])
 """Lowest and highest hand position, world, meters: in front of the robot, above the table."""
-GRIPS = {
-    side: Grip(
-        T_hand_grip=make_transform(np.eye(3), [0.033, -0.002, 0.001]),
+YAWS = (np.radians(75.0), np.radians(330.0))
+"""Angles of the right hand's x axis about the vertical at which its arm reaches the table, rad."""
+JAW_TILT = np.pi / 4
+"""A parallel jaw's approach lies between the palm's normal and the fingers (thesis 12.3.1), rad about the hand's y."""
+
+
+def _grip(side: str) -> Grip:
+    """Return where a hand holds: it squeezes along x, thumb against fingers, and the palm looks along z.
+
+    In the right hand's grip y runs from the index finger to the little one. The left hand is the mirror image, whose
+    frame has the palm look along -z.
+    """
+    left = side == "left"
+    y = -1.0 if left else 1.0
+    turn = np.diag([1.0, y, y])
+    return Grip(
+        T_hand_grip=make_transform(turn, [0.033, -0.002, 0.001 * y]),
         width=0.075,  # of an opening of 0.09, of which placing and pose errors take their part
-        fingers_y=np.array([-0.036, -0.008, 0.020, 0.036]),  # index, middle, ring and little finger
-        depth=0.034,
-        sweep=np.array([[-0.020, 0.085], [-0.050, 0.050], [0.0, 0.075]]),
+        fingers_y=y * np.array([-0.034, -0.006, 0.022, 0.038]),  # index, middle, ring and little finger
+        depth=0.033,
+        sweep=np.array([[-0.053, 0.052], [-0.052, 0.048] if left else [-0.048, 0.052], [-0.001, 0.074]]),
+        half_axes=(0.03, 0.06, 0.03),  # thesis 12.3.1
+        yaws=YAWS,
+        mirrored=left,
+        T_hand_jaw=make_transform(turn @ rotation_about("y", JAW_TILT)),
     )
-    for side in SIDES
-}
-"""Where the hand holds: it squeezes along x, thumb against fingers; the palm looks along z; y runs from the index
-finger to the little one."""
 
 
 def describe(
-    hands: Sequence[str] = ("right",),
-    limits: str = "ikin",
-    coupling: str = "tendon",
+    hands: Sequence[Side] = ("right",),
+    limits: body.LimitSet = "ikin",
+    coupling: Coupling = "tendon",
     weld: bool = True,
-    model: str = BODY_MODEL,
+    model: Model = BODY_MODEL,
 ) -> RobotDescription:
     """Assemble the robot.
 
     Args:
-        hands: Hands with fingers, ``"right"`` and/or ``"left"``.
+        hands: Hands with fingers, ``"right"``, ``"left"`` or both; the first is the one used where none is named.
         limits: ``"ikin"`` (the limits that the real robot's arm solver uses) or ``"urdf"``.
         coupling: ``"tendon"``: one actuator pulls the weighted sum of its joints, contact decides the split;
             ``"equal_split"``: those joints also stay equal.
@@ -73,7 +88,7 @@ def describe(
     home = {**body.HOME, **{joint: q for hand in fingered for joint, q in hand.home.items()}}
     return RobotDescription(
         name="icub",
-        urdf=store_text(text, "icub", ".urdf"),
+        urdf=cached_text("robots", text, ".urdf"),
         T_world_root=root_transform(),
         joint_names=tuple(movable),
         lower=np.array([ranges[joint][0] for joint in movable]),
@@ -81,7 +96,7 @@ def describe(
         groups=_groups(arms, legs, fingered),
         actuators=_actuators(arms, fingered, ranges),
         home={joint: q for joint, q in home.items() if joint in movable},
-        hands={side: _hand(side, fingered) for side in SIDES if side in arms},
+        hands={side: _hand(side, fingered) for side in dict.fromkeys([*hands, *SIDES]) if side in arms},
         cameras=body.CAMERAS,
         dynamics={
             joint: dynamics
@@ -112,7 +127,7 @@ def _hand(side: str, fingered: Sequence[Hand]) -> HandDescription:
         reach=f"{side}_reach",
         actuators=tuple(a.name for a in hand.actuators) if hand is not None else (),
         fingertips=hand.fingertips if hand is not None else (),
-        grip=GRIPS[side] if hand is not None else None,
+        grip=_grip(side) if hand is not None else None,
         workspace=WORKSPACE,
     )
 
@@ -123,8 +138,8 @@ def _check(hands: Sequence[str], limits: str, coupling: str, model: str) -> None
             raise ConfigError(unknown_name("hand", side, SIDES))
     if limits not in body.LIMIT_SETS:
         raise ConfigError(unknown_name("set of joint limits", limits, body.LIMIT_SETS))
-    if coupling not in COUPLINGS:
-        raise ConfigError(unknown_name("finger coupling", coupling, COUPLINGS))
+    if coupling not in get_args(Coupling):
+        raise ConfigError(unknown_name("finger coupling", coupling, get_args(Coupling)))
     if model not in MODELS:
         raise ConfigError(unknown_name("model of icub-models", model, MODELS))
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from icub_core.errors import ConfigError, DataError, unknown_name
-from icub_core.geometry import make_transform, quat_wxyz_to_matrix
+from icub_core.errors import ConfigError, DataError
+from icub_core.geometry import FloatArray, make_transform, quat_wxyz_to_matrix
 from icub_core.interfaces.robot import GazeSolution
+from icub_core.robot_description import RobotCamera
 from icub_robots.kinematics.model import PinocchioModel
-
-FloatArray = NDArray[np.float64]
 
 TOLERANCE = float(np.arccos(0.99))  # rad, 8.1 degrees (thesis 12.4; the released gaze controller uses the same)
 
@@ -29,22 +27,18 @@ class Gaze:
         self._neck = d.indices("neck")
         self._rest = d.home_q[self._neck]
         self._bounds = list(zip(d.lower[self._neck], d.upper[self._neck], strict=True))
-        self._cameras = {c.name: c for c in d.cameras}
 
-    def solve(self, point: FloatArray, q_start: FloatArray, camera: str) -> GazeSolution:
-        """Turn the neck from `q_start` (n,) so that `camera` looks at `point` (3,), world.
+    def solve(self, point: FloatArray, q_start: FloatArray, view: RobotCamera) -> GazeSolution:
+        """Turn the neck from `q_start` (n,) so that the camera `view` looks at `point` (3,), world.
 
         Raises:
-            ConfigError: No such camera, or one that the neck does not move.
+            ConfigError: A camera that the neck does not move.
             DataError: A point that is not finite.
         """
-        if camera not in self._cameras:
-            raise ConfigError(unknown_name("camera", camera, self._cameras))
         if np.shape(point) != (3,) or not np.isfinite(point).all():
             raise DataError(f"the point to look at is {point}; expected 3 finite coordinates, meters")
-        view = self._cameras[camera]
         if not set(self._model.description.groups["neck"]) & set(self._model.support(view.link)):
-            raise ConfigError(f"camera '{camera}' does not move with the neck")
+            raise ConfigError(f"camera '{view.name}' does not move with the neck")
         T_link_camera = make_transform(quat_wxyz_to_matrix(view.quat_wxyz), view.position)
         q = q_start.copy()
 

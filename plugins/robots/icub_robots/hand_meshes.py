@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from icub_core.errors import DataError
-from icub_robots.cache import store_derived
 from icub_robots.models import HAND_MODEL, model_file, resolve_mesh
+from icub_support.cache import cached_file, content_key
 
 logger = logging.getLogger(__name__)
 
@@ -47,7 +47,8 @@ def _shape(element: ET.Element, model: Path) -> ET.Element:
     copy.extend(child for child in element if child.tag in _KEPT)
     for mesh in copy.iter("mesh"):
         path = resolve_mesh(mesh.attrib["filename"], model)
-        converted = store_derived(path.read_bytes(), partial(_to_stl, path), path.stem, ".stl")
+        name = f"{path.stem}-{content_key(path.read_bytes())}.stl"
+        converted = cached_file("robots", name, partial(_to_stl, path))
         mesh.set("filename", str(converted))
     return copy
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import Any, Literal, get_args
 
 import yaml
 
 from icub_core.robot_description import Actuator, ContactMaterial, CoupledJoint, JointDynamics
 from icub_core.scene import QuatWxyz, Vec3
 
-SIDES = ("right", "left")
+Side = Literal["right", "left"]
+SIDES: tuple[Side, ...] = get_args(Side)
 STEP, STEPS = 0.2, {"pinky": 0.4}
 """What an action of 1 moves an actuator by, rad; twice as much for the tendon of two fingers (released code)."""
 FINGERS = ("thumb", "index", "middle", "ring", "little")

@@ -4,35 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError, DataError, unknown_name
+from icub_core.geometry import FloatArray
 from icub_core.interfaces.robot import GazeSolution, IkSolution, Robot
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import Table
-from icub_robots.description import describe
+from icub_robots.body import LimitSet
+from icub_robots.description import Coupling, describe
 from icub_robots.gaze import Gaze
+from icub_robots.hand_table import Side
 from icub_robots.kinematics.base import IkRequest, Kinematics, restart_postures
 from icub_robots.kinematics.model import PinocchioModel
 from icub_robots.kinematics.pinocchio_kinematics import PinocchioKinematics
 from icub_robots.kinematics.settings import RESTARTS
-from icub_robots.models import BODY_MODEL
+from icub_robots.models import BODY_MODEL, Model
 
 if TYPE_CHECKING:
     from icub_robots.collision import CollisionChecker
 
-FloatArray = NDArray[np.float64]
-KINEMATICS = ("pinocchio", "placo")
+Library = Literal["pinocchio", "placo"]
 
 
 class ICub(Robot):
     """The iCub with articulated hands.
 
     Args:
-        hands: Hands with fingers, ``"right"`` and/or ``"left"``; the arm of a hand that is not named is welded.
+        hands: Hands with fingers, ``"right"``, ``"left"`` or both, the one to grasp with first; the arm of a hand that
+            is not named is welded.
         limits: Joint limits: ``"ikin"`` (those of the real robot's arm solver) or ``"urdf"``.
         coupling: ``"tendon"`` (under-actuated fingers) or ``"equal_split"`` (coupled joints stay equal).
         weld: Fix legs and unused arms at home.
@@ -45,17 +47,17 @@ class ICub(Robot):
 
     def __init__(
         self,
-        hands: tuple[str, ...] = ("right",),
-        limits: str = "ikin",
-        coupling: str = "tendon",
+        hands: tuple[Side, ...] = ("right",),
+        limits: LimitSet = "ikin",
+        coupling: Coupling = "tendon",
         weld: bool = True,
-        kinematics: str = "pinocchio",
+        kinematics: Library = "pinocchio",
         torso_pitch_max: float = 0.5,
         cable_limits: bool = False,
-        model: str = BODY_MODEL,
+        model: Model = BODY_MODEL,
     ) -> None:
-        if kinematics not in KINEMATICS:
-            raise ConfigError(unknown_name("kinematics library", kinematics, KINEMATICS))
+        if kinematics not in get_args(Library):
+            raise ConfigError(unknown_name("kinematics library", kinematics, get_args(Library)))
         if cable_limits and kinematics != "placo":
             raise ConfigError(f"cable_limits needs kinematics 'placo', not '{kinematics}'")
         self._description = describe(tuple(hands), limits, coupling, weld, model)
@@ -108,9 +110,10 @@ class ICub(Robot):
         """Place `frame`; see the interface. Up to 10 iterations only follow from `q_start`, more may restart."""
         request = IkRequest(max_iterations, position_tolerance, orientation_tolerance)
         self._check_start(q_start)
+        group = group or self._description.reach_group(frame)
         if not np.isfinite(T_world_frame).all():
             return _unreachable(q_start)
-        return self._kinematics.solve(T_world_frame, q_start, frame, group, request)
+        return self._kinematics.solve(T_world_frame, q_start, frame, self._moving(frame, group), request)
 
     def inverse_kinematics_batch(
         self,
@@ -126,8 +129,10 @@ class ICub(Robot):
         """Solve many targets (k, 4, 4) from one start, each by one descent; see the interface."""
         request = IkRequest(max_iterations, position_tolerance, orientation_tolerance)
         self._check_start(q_start)
+        group = group or self._description.reach_group(frame)
         targets = np.asarray(T_world_frames, dtype=np.float64).reshape(-1, 4, 4)
         finite = np.all(np.isfinite(targets), axis=(1, 2))
+        group = self._moving(frame, group)
         solved = iter(self._kinematics.solve_batch(targets[finite], q_start, frame, group, request))
         return [next(solved) if good else _unreachable(q_start) for good in finite]
 
@@ -138,7 +143,7 @@ class ICub(Robot):
     def gaze(self, point: FloatArray, q_start: FloatArray, camera: str | None = None) -> GazeSolution:
         """Turn the neck so that `camera` looks at `point` (3,), within 8.1 degrees; see the interface."""
         self._check_start(q_start)
-        return self._gaze.solve(point, q_start, self._description.camera(camera).name)
+        return self._gaze.solve(point, q_start, self._description.camera(camera))
 
     @cached_property
     def _collision_checker(self) -> CollisionChecker:
@@ -150,6 +155,10 @@ class ICub(Robot):
         """Return the pairs that touch at `q` (n,); see the interface. The first call takes about a second."""
         self._check_start(q)
         return self._collision_checker.collisions(q, table, margin)
+
+    def _moving(self, frame: str, group: str | None) -> str:
+        """Return the joint group to solve for: that of the hand whose frame it is where none is named."""
+        return self._description.reach_group(frame) if group is None else group
 
     def _check_start(self, q_start: FloatArray) -> None:
         if q_start.shape != self._description.lower.shape or not np.isfinite(q_start).all():

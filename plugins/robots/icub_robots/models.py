@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from functools import cache
 from pathlib import Path
+from typing import Literal, get_args
 
 from icub_core.errors import ConfigError, DataError, unknown_name
 
-BODY_MODEL = "iCubGazeboV2_7"
-HAND_MODEL = "iCubGazeboV2_5_visuomanip"
-MODELS = (BODY_MODEL, HAND_MODEL)
+Model = Literal["iCubGazeboV2_7", "iCubGazeboV2_5_visuomanip"]
+MODELS: tuple[Model, ...] = get_args(Model)
+BODY_MODEL, HAND_MODEL = MODELS
 SEARCH_VARIABLES = ("GZ_SIM_RESOURCE_PATH", "GAZEBO_MODEL_PATH", "ROS_PACKAGE_PATH", "YARP_DATA_DIRS")
 """Variables that installations of icub-models set; their entries end in share, share/iCub or share/iCub/robots."""
 
@@ -19,7 +20,7 @@ def model_file(name: str) -> Path:
     """Return the URDF of a model of icub-models.
 
     Raises:
-        ConfigError: Not one of MODELS.
+        ConfigError: Unknown name.
         DataError: That model is not installed.
     """
     if name not in MODELS:

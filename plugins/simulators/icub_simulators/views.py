@@ -5,15 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import cache
 
-import numpy as np
-from numpy.typing import NDArray
-
 from icub_core.errors import ConfigError, unknown_name
-from icub_core.geometry import look_at, make_transform, quat_wxyz_to_matrix
+from icub_core.geometry import FloatArray, look_at, make_transform, quat_wxyz_to_matrix
 from icub_core.robot_description import RobotCamera
 from icub_core.scene import CameraView
-
-FloatArray = NDArray[np.float64]
 
 
 def place_camera(

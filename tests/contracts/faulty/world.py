@@ -9,7 +9,7 @@ from icub_core.interfaces.robot import GazeSolution
 from icub_core.scene import Scene
 from icub_testing.tiny.robot import TinyRobot, _describe
 from icub_testing.tiny.simulator import TinySimulator
-from icub_testing.tiny.things import COLORS, TinyDataset, TinyObjects
+from icub_testing.tiny.things import COLORS, TinyDataset, TinyEpisode, TinyEpisodes, TinyObjects
 
 from .base import breaks
 
@@ -32,8 +32,9 @@ class HomeOutsideLimits(TinyRobot):
 class MissingFingertip(TinyRobot):
     def __init__(self) -> None:
         super().__init__()
-        tips = ("no_such_tip", *self._description.hand("right").fingertips[1:])
-        self._description = replace(self._description, fingertips={"right": tips})
+        hand = self._description.hand()
+        wrong = replace(hand, fingertips=("no_such_tip", *hand.fingertips[1:]))
+        self._description = replace(self._description, hands={hand.name: wrong})
 
 
 @breaks("robot", "check_forward_kinematics")
@@ -102,7 +103,7 @@ class NeedsTargets(TinyRobot):
 
 @breaks("robot", "check_gaze")
 class TurnsItsHeadOff(TinyRobot):
-    def gaze(self, point, q_start, camera="head_cam"):
+    def gaze(self, point, q_start, camera=None):
         q = q_start.copy()
         q[-1] = 10.0
         return GazeSolution(q, True, 0.0)
@@ -111,7 +112,7 @@ class TurnsItsHeadOff(TinyRobot):
 @breaks("robot", "check_collisions")
 class BumpsIntoItself(TinyRobot):
     def collisions(self, q, table=None, margin=0.0):
-        return (("tiny_hand", "thumb_base"),)
+        return (("tiny_hand", "rear_base"),)
 
 
 @breaks("simulator", "check_shortcuts")
@@ -148,7 +149,29 @@ class LeavesObjectsThere(TinySimulator):
 class CountsOneTooMany(TinySimulator):
     def step(self, n=1):
         super().step(n)
-        self._steps += n > 1
+        self._steps += n == 7  # as the check steps, and no tick does
+
+
+@breaks("simulator", "check_tick")
+class TicksAreSteps(TinySimulator):
+    def tick(self, seconds):
+        self.step(1)
+
+
+@breaks("simulator", "check_image")
+class PhotographsFromTheOtherSide(TinySimulator):
+    def image(self, camera, width=320, height=240):
+        return self.render(camera, width, height, look_at=np.zeros(3)).frame
+
+
+@breaks("simulator", "check_hand_and_object")
+class ReadsTheHandOnce(TinySimulator):
+    pose = None
+
+    def hand_and_object(self, frame, hand, name):
+        answer = super().hand_and_object(frame, hand, name)
+        self.pose = answer[0] if self.pose is None else self.pose
+        return self.pose, *answer[1:]
 
 
 @breaks("simulator", "check_repeatable")
@@ -200,32 +223,32 @@ class ForgetsTargets(TinySimulator):
         self._targets = self._A @ self._q + self._b
 
 
-@breaks("simulator", "check_picture")
+@breaks("simulator", "check_rendering")
 class DepthAlongTheRay(TinySimulator):
     def render(self, camera, width=320, height=240, **options):
-        picture = super().render(camera, width, height, **options)
-        K = picture.frame.intrinsics
+        rendering = super().render(camera, width, height, **options)
+        K = rendering.frame.intrinsics
         columns, rows = np.meshgrid(np.arange(width), np.arange(height))
         length = np.sqrt(1 + ((columns - K[0, 2]) / K[0, 0]) ** 2 + ((rows - K[1, 2]) / K[1, 1]) ** 2)
-        depth = (picture.frame.depth * length * 1.02).astype(np.float32)
-        return replace(picture, frame=replace(picture.frame, depth=depth))
+        depth = (rendering.frame.depth * length * 1.02).astype(np.float32)
+        return replace(rendering, frame=replace(rendering.frame, depth=depth))
 
 
 @breaks("simulator", "check_pixels")
 class PixelCornersAreWholeNumbers(TinySimulator):
     def render(self, camera, width=320, height=240, **options):
-        picture = super().render(camera, width, height, **options)
-        K = picture.frame.intrinsics.copy()
+        rendering = super().render(camera, width, height, **options)
+        K = rendering.frame.intrinsics.copy()
         K[:2, 2] = width / 2, height / 2
-        return replace(picture, frame=replace(picture.frame, intrinsics=K))
+        return replace(rendering, frame=replace(rendering.frame, intrinsics=K))
 
 
 @breaks("simulator", "check_background")
 class SkyIsFarAway(TinySimulator):
     def render(self, camera, width=320, height=240, **options):
-        picture = super().render(camera, width, height, **options)
-        depth = np.where(picture.frame.depth == 0, np.float32(100.0), picture.frame.depth)
-        return replace(picture, frame=replace(picture.frame, depth=depth))
+        rendering = super().render(camera, width, height, **options)
+        depth = np.where(rendering.frame.depth == 0, np.float32(100.0), rendering.frame.depth)
+        return replace(rendering, frame=replace(rendering.frame, depth=depth))
 
 
 @breaks("simulator", "check_segmentation")
@@ -320,6 +343,23 @@ class WrapsAround(TinyDataset):
         return super().__getitem__(index % len(self))
 
 
+@breaks("dataset", "check_splits")
+class NamesASplitTwice(TinyDataset):
+    @property
+    def splits(self):
+        return ("all", "all")
+
+
+@breaks("dataset", "check_close")
+class ClosesItsFilesOnce(TinyDataset):
+    closed = False
+
+    def close(self):
+        if self.closed:
+            raise ValueError("already closed")
+        self.closed = True
+
+
 @breaks("dataset", "check_labels")
 class UnknownLabel(TinyDataset):
     def __getitem__(self, index):
@@ -344,5 +384,69 @@ class SmallMasks(TinyDataset):
 
 @breaks("dataset", "check_iteration")
 class BeginsAtTheSecond(TinyDataset):
+    def __iter__(self):
+        return (self[i] for i in range(1, len(self)))
+
+
+class ChangedEpisode(TinyEpisode):
+    def __init__(self, color, change) -> None:
+        super().__init__(color, 3)
+        self._change = change
+
+    def __getitem__(self, index):
+        return self._change(super().__getitem__(index), index)
+
+
+class ChangesSteps(TinyEpisodes):
+    def __init__(self) -> None:
+        super().__init__()
+        self._episodes = tuple(ChangedEpisode(color, self.change) for color in COLORS)
+
+
+@breaks("episodes", "check_length")
+class WrapsAroundEpisodes(TinyEpisodes):
+    def __getitem__(self, index):
+        return super().__getitem__(index % len(self))
+
+    def __iter__(self):
+        return (self[i] for i in range(len(self)))
+
+
+@breaks("episodes", "check_words")
+class SaysNothing(TinyEpisodes):
+    def __init__(self) -> None:
+        super().__init__()
+        silent = type("SilentEpisode", (TinyEpisode,), {"instruction": None})
+        self._episodes = tuple(silent(color, 3) for color in COLORS)
+
+
+@breaks("episodes", "check_repeatable")
+class NoisyActions(ChangesSteps):
+    def change(self, step, index):
+        noise = np.random.default_rng().random(3)
+        return replace(step, state={**step.state, "position": step.state["position"] + 1e-3 * noise})
+
+
+@breaks("episodes", "check_images")
+class FloatImages(ChangesSteps):
+    def change(self, step, index):
+        return replace(step, rgb={"camera": step.rgb["camera"] / np.float32(255)})
+
+
+@breaks("episodes", "check_numbers")
+class LosesAVelocity(ChangesSteps):
+    def change(self, step, index):
+        lost = np.full(3, np.nan) if index == 1 else step.state["velocity"]
+        return replace(step, state={**step.state, "velocity": lost})
+
+
+@breaks("episodes", "check_sizes")
+class LastActionIsLonger(ChangesSteps):
+    def change(self, step, index):
+        return replace(step, action=np.append(step.action, 0.0)) if index == 2 else step
+
+
+@breaks("episodes", "check_iteration")
+class BeginsAtTheSecondEpisode(TinyEpisodes):
     def __iter__(self):
         return (self[i] for i in range(1, len(self)))

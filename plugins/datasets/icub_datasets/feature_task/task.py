@@ -61,6 +61,11 @@ class FeatureTask(Dataset):
         """Names of the classes; the first has label 1."""
         return _class_names()
 
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Names of the splits."""
+        return tuple(DEFAULT_FRAMES)
+
     def prepare(self, progress: cache.Progress | None = None) -> None:
         """Render the frames that are missing; `progress` is called with (ready, wanted)."""
         cache.generate(self.path, self.split, self._length, self._seed, progress=progress)

@@ -82,6 +82,11 @@ class RenderedDataset(Dataset):
         """Names of the target objects."""
         return self._classes
 
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Names of the splits."""
+        return SPLITS
+
     def __len__(self) -> int:
         return self._frames
 

@@ -16,9 +16,6 @@ from icub_grasp_generators.clouds import CLOUD_POINTS, thin
 from icub_grasp_generators.superquadrics.shape import Superquadric
 
 _SURFACE_POINTS = 400
-_CLOSING = np.array(
-    [[-0.020, 0.085], [-0.050, 0.050], [0.0, 0.075]]
-)  # what thumb and fingers sweep, hand frame, meters
 _CONFIRMED = 0.8  # ratio from which on nothing is amiss: outliers and parts that the solid leaves out take their share
 _NOTHING = 0.01  # share of the image below which a pose is not judged
 _WEIGHT = 2.0
@@ -31,9 +28,13 @@ class Evidence:
         shape: The fitted solid.
         points: (N, 3) the cloud, in the same frame.
         viewpoint: (3,) where the camera stood.
+        sweep: (3, 2) lowest and highest x, y, z that the closing fingers pass through, in the frame of the poses.
     """
 
-    def __init__(self, shape: Superquadric, points: NDArray[np.floating], viewpoint: FloatArray) -> None:
+    def __init__(
+        self, shape: Superquadric, points: NDArray[np.floating], viewpoint: FloatArray, sweep: FloatArray
+    ) -> None:
+        self._sweep = sweep
         self._points = thin(points, CLOUD_POINTS)
         surface = shape.surface(_SURFACE_POINTS)
         to_camera = viewpoint - surface
@@ -47,18 +48,17 @@ class Evidence:
         self._surface, self._share = surface[visible], seen[visible] / seen[visible].sum()
 
     def cost(self, T: FloatArray) -> FloatArray:
-        """Return what poses T (C, 4, 4) of the right hand cost (C,) for closing where too little was seen: 0 to 2."""
-        expected = _inside(T, self._surface) @ self._share
-        found = _inside(T, self._points).mean(axis=1)
+        """Return what poses T (C, 4, 4) cost (C,) for closing where too little was seen: 0 to 2."""
+        expected = self._inside(T, self._surface) @ self._share
+        found = self._inside(T, self._points).mean(axis=1)
         ratio = np.where(expected > _NOTHING, found / np.maximum(expected, _NOTHING), 1.0)
         return _WEIGHT * np.maximum(1.0 - ratio / _CONFIRMED, 0.0)
 
-
-def _inside(T: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
-    """Say which points (N, 3) the hands at T (C, 4, 4) sweep: (C, N)."""
-    R_t = np.swapaxes(T[:, :3, :3], 1, 2)
-    # one product of two matrices instead of one for each pose
-    local = (R_t.reshape(-1, 3) @ points.T).reshape(len(T), 3, len(points))
-    local -= R_t @ T[:, :3, 3:]
-    inside: NDArray[np.bool_] = np.all((local > _CLOSING[:, :1]) & (local < _CLOSING[:, 1:]), axis=1)
-    return inside
+    def _inside(self, T: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
+        """Say which points (N, 3) the hands at T (C, 4, 4) sweep: (C, N)."""
+        R_t = np.swapaxes(T[:, :3, :3], 1, 2)
+        # one product of two matrices instead of one for each pose
+        local = (R_t.reshape(-1, 3) @ points.T).reshape(len(T), 3, len(points))
+        local -= R_t @ T[:, :3, 3:]
+        inside: NDArray[np.bool_] = np.all((local > self._sweep[:, :1]) & (local < self._sweep[:, 1:]), axis=1)
+        return inside

@@ -12,7 +12,8 @@ from icub_core.interfaces.grasp_generator import GraspGenerator
 from icub_core.interfaces.robot import Robot
 from icub_core.scene import Table
 from icub_grasp_generators.clouds import CLOUD_POINTS, MAX_TOUCHED, thin
-from icub_grasp_generators.hand_geometry import Occupancy, Spheres
+from icub_grasp_generators.hand_geometry import Occupancy
+from icub_grasp_generators.planned_hand import MIRROR
 from icub_grasp_generators.reach import HandGeometries, Reach
 from icub_grasp_generators.superquadrics.evidence import Evidence
 from icub_grasp_generators.superquadrics.fit import fit_superquadric
@@ -25,9 +26,6 @@ _MIN_INLIERS = 0.5
 _APPROACH = (0.0, 0.015, 0.03, 0.045)  # meters before the grasp where the open hand must be clear of the cloud
 _APPROACH_POINTS, _APPROACH_TOUCHED = 1000, 5
 _POSTURE_WEIGHT = 0.1  # cost per rad^2 of distance from the home posture
-
-_MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # the robot's plane of symmetry
-_FLIP = np.diag([1.0, 1.0, -1.0, 1.0])  # a left hand's palm looks along -z of its frame
 
 
 class Superquadrics(GraspGenerator):
@@ -51,9 +49,10 @@ class Superquadrics(GraspGenerator):
         self._max_tries = max_tries
         self._hands = HandGeometries()
 
-    def propose(self, cloud: PointCloud, robot: Robot, table: Table | None, hand: str = "right") -> GraspProposals:
+    def propose(self, cloud: PointCloud, robot: Robot, table: Table | None, hand: str | None = None) -> GraspProposals:
         """Fit, enumerate, test; see the interface. Raises ConfigError when the robot has no such hand."""
         geometry = self._hands.get(robot, hand)
+        planned, name = geometry.planned, geometry.name
         if cloud.frame != "world":
             return GraspProposals((), reason=f"the cloud is given in the frame '{cloud.frame}'; expected 'world'")
         try:
@@ -65,34 +64,26 @@ class Superquadrics(GraspGenerator):
             share = 100 * (1 - fit.inliers)
             return GraspProposals((), center, f"{share:.0f} % of the cloud's points do not lie on one superquadric")
 
-        # a left hand grasps the mirror image of what a right hand grasps
-        shape, body, board = fit.shape, geometry.hand, table
-        points, viewpoint = cloud.points, cloud.viewpoint
-        if hand == "left":
-            shape, body, board = (
-                _mirrored(shape),
-                Spheres(body.centers * [1.0, 1.0, -1.0], body.radii),
-                _mirrored_table(table),
-            )
-            side = np.diag(_MIRROR)[:3]
-            points, viewpoint = points * side, None if viewpoint is None else viewpoint * side
-        evidence = None if viewpoint is None else Evidence(shape, points, viewpoint)
-        candidates, reason = evaluate(shape, family(shape), body, board, evidence)
+        shape, seen = _mirrored(fit.shape) if planned.is_mirrored else fit.shape, planned.cloud(cloud)
+        evidence = None if seen.viewpoint is None else Evidence(shape, seen.points, seen.viewpoint, planned.sweep)
+        candidates, reason = evaluate(
+            shape, family(shape, planned), planned, geometry.planned_body, planned.table(table), evidence
+        )
         if reason:
             return GraspProposals((), center, reason)
-        T_world_hand = _MIRROR @ candidates.T @ _FLIP if hand == "left" else candidates.T
+        T_world_hand = planned.to_hand(candidates.T)
         # what the solid does not model, such as the cap of a bottle, is still in the way
         free = geometry.occupancy.count(T_world_hand, thin(cloud.points, CLOUD_POINTS)) <= MAX_TOUCHED
         if not free.any():
             return GraspProposals((), center, "at every pose around the object the open hand meets points of the cloud")
         best = np.nonzero(free)[0][: self._max_tries]
-        tries = [Grasp(T_world_hand[i], center, -float(candidates.cost[i]), NAME, hand) for i in best]
+        tries = [Grasp(T_world_hand[i], center, -float(candidates.cost[i]), NAME, name) for i in best]
         obstacle = thin(cloud.points, _APPROACH_POINTS)
         grasps = Reach(robot, geometry, table, _POSTURE_WEIGHT).choose(
             tries, self._max_grasps, lambda reached: _clear_on_approach(reached, geometry.occupancy, obstacle)
         )
         if not grasps:
-            reason = f"the {hand} arm reaches none of {len(tries)} poses around the object without pushing it"
+            reason = f"the {name} arm reaches none of {len(tries)} poses around the object without pushing it"
             return GraspProposals((), center, reason)
         return GraspProposals(grasps, center)
 
@@ -107,11 +98,5 @@ def _clear_on_approach(grasps: list[Grasp], occupancy: Occupancy, cloud: FloatAr
 
 def _mirrored(shape: Superquadric) -> Superquadric:
     """Mirror a solid at the robot's plane of symmetry; a superquadric is its own mirror image along x."""
-    T = _MIRROR @ shape.T_world_object @ np.diag([-1.0, 1.0, 1.0, 1.0])
+    T = MIRROR @ shape.T_world_object @ np.diag([-1.0, 1.0, 1.0, 1.0])
     return Superquadric(shape.half_axes, shape.exponents, T)
-
-
-def _mirrored_table(table: Table | None) -> Table | None:
-    if table is None:
-        return None
-    return Table((table.center[0], -table.center[1], table.center[2]), table.half_size, table.material)

@@ -12,20 +12,19 @@ from icub_core.interfaces.grasp_generator import GraspGenerator
 from icub_core.interfaces.robot import Robot
 from icub_core.scene import Table
 from icub_grasp_generators.clouds import CLOUD_POINTS, MAX_TOUCHED, center_of, check_cloud, thin
+from icub_grasp_generators.planned_hand import PlannedHand
 from icub_grasp_generators.reach import HandGeometries, Reach, clears_table
 from icub_grasp_generators.vgn.adaptation import hand_poses
 from icub_grasp_generators.vgn.hand_search import MAX_JUDGED, around
 from icub_grasp_generators.vgn.judge import HandJudge
-from icub_grasp_generators.vgn.network import GRIPPER, load_network
-from icub_grasp_generators.vgn.palm import at_palm
+from icub_grasp_generators.vgn.network import GRIPPER, Meaning, VgnNetwork, load_network
+from icub_grasp_generators.vgn.palm import at_palm, is_learned
 from icub_grasp_generators.vgn.passage import passes
 from icub_grasp_generators.vgn.selection import WIDTHS, select
 from icub_grasp_generators.vgn.volume import Volume
 
 NAME = "vgn"
-
-_MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])  # the robot's plane of symmetry
-_FLIP = np.diag([1.0, 1.0, -1.0, 1.0])  # a left hand's palm looks along -z of its frame
+_GRIPPER_WEIGHTS = "parallel_jaw"
 _SPARE = 3  # times as many poses are tested for reach as are returned: the way to some may be blocked
 _FIELD = 0.5  # meters between the object and a camera that had to be assumed
 
@@ -39,9 +38,10 @@ class Vgn(GraspGenerator):
     poses are drawn, and its word on each is their confidence.
 
     Args:
-        weights: ``"icub_hand"`` (shipped; learned from trials with the robot's hand), ``"parallel_jaw"`` (shipped;
+        weights: ``"icub_hand"`` (shipped; learned from trials with the iCub's hand), ``"parallel_jaw"`` (shipped;
             learned from trials with a gripper, adapted to the hand), the path of a file that
-            ``icub train grasp_generator=vgn`` wrote, or the path of the original's weight file (``.pth``).
+            ``icub train grasp_generator=vgn`` wrote, or the path of the original's weight file (``.pth``). For a hand
+            that is not like the iCub's, ``"parallel_jaw"`` takes the place of weights of the iCub's hand.
         threshold: Least quality of a voxel, and least confidence of a judged hand pose, 0..1.
         table_in_volume: Whether the field contains the table.
         max_grasps: At most this many are returned.
@@ -57,81 +57,94 @@ class Vgn(GraspGenerator):
     ) -> None:
         if not 0.0 <= threshold < 1.0 or max_grasps < 1:
             raise ConfigError(f"vgn: threshold {threshold}, max_grasps {max_grasps}; expected 0 to 1 and at least 1")
-        self._network, self._meaning, self._judge = load_network(weights)
+        self._own = load_network(weights)
+        self._gripper = self._own if self._own[1].pose == GRIPPER else None
         self._threshold, self._table_in_volume, self._max_grasps = threshold, table_in_volume, max_grasps
         self._hands = HandGeometries()
 
-    def propose(self, cloud: PointCloud, robot: Robot, table: Table | None, hand: str = "right") -> GraspProposals:
+    def propose(self, cloud: PointCloud, robot: Robot, table: Table | None, hand: str | None = None) -> GraspProposals:
         """Predict, select, adapt, test; see the interface. Raises ConfigError when the robot has no such hand.
 
         A cloud without a viewpoint is taken to be seen from where the robot's first camera is at home.
         """
         geometry = self._hands.get(robot, hand)
+        planned, name = geometry.planned, geometry.name
+        _, _, judge = self._networks(planned)
         if cloud.frame != "world":
             return GraspProposals((), reason=f"the cloud is given in the frame '{cloud.frame}'; expected 'world'")
         try:
             check_cloud(cloud.points)
             seen = PointCloud(cloud.points, viewpoint=_viewpoint(cloud, robot))
             center = center_of(cloud.points, None if table is None else table.top)
-            # a left hand grasps the mirror image of what a right hand grasps
-            right = _mirrored(seen) if hand == "left" else seen
-            T_right, quality = self.predict(right, table)
+            seen = planned.cloud(seen)
+            T, quality = self.predict(seen, table, planned)
         except DataError as error:
             return GraspProposals((), reason=str(error))
         if len(quality) == 0:
             return GraspProposals((), center, f"no voxel has a quality of {self._threshold} or more")
-        if self._judge is not None:
-            T_right = np.concatenate([T_right, around(at_palm(T_right)[:, :3, 3], right)])
-        T_world_hand = _MIRROR @ T_right @ _FLIP if hand == "left" else T_right
+        if judge is not None:
+            T = np.concatenate([T, around(at_palm(T)[:, :3, 3], seen)])
+        T_world_hand = planned.to_hand(T)
         free = geometry.occupancy.count(T_world_hand, thin(cloud.points, CLOUD_POINTS)) <= MAX_TOUCHED
         if not free.any():
             return GraspProposals((), center, f"at all {len(free)} poses found the open hand meets points of the cloud")
-        if self._judge is not None:
+        if judge is not None:
             free &= clears_table(geometry.hand.at(T_world_hand), geometry.hand.radii, table)
             chosen = np.flatnonzero(free)[:MAX_JUDGED]
             if not len(chosen):
                 return GraspProposals((), center, f"at all {len(free)} poses found the open hand meets cloud or table")
             quality = np.full(len(free), -np.inf)
-            quality[chosen] = self._judged(self._judge, T_right[chosen], right, table)
+            quality[chosen] = _judged(judge, T[chosen], seen, table)
             free = quality >= self._threshold
             if not free.any():
                 best = float(quality.max())
                 return GraspProposals((), center, f"no hand pose is judged {self._threshold} or more; best {best:.2g}")
         order = np.flatnonzero(free)
         order = order[np.argsort(-quality[order], kind="stable")]
-        tries = [Grasp(T_world_hand[i], center, float(quality[i]), NAME, hand) for i in order]
+        tries = [Grasp(T_world_hand[i], center, float(quality[i]), NAME, name) for i in order]
         reached = Reach(robot, geometry, table, posture_weight=0.0).choose(tries, _SPARE * self._max_grasps)
         if not reached:
-            return GraspProposals((), center, f"the {hand} arm reaches none of {len(tries)} poses found")
+            return GraspProposals((), center, f"the {name} arm reaches none of {len(tries)} poses found")
         grasps = tuple(grasp for grasp in reached if passes(grasp, cloud.points, robot, geometry))[: self._max_grasps]
         if not grasps:
             return GraspProposals((), center, f"on the way to all {len(reached)} poses the hand meets the cloud")
         return GraspProposals(grasps, center)
 
-    def predict(self, cloud: PointCloud, table: Table | None) -> tuple[FloatArray, FloatArray]:
-        """Return poses (C, 4, 4) of a right hand, world, and qualities (C,), best first, before any test.
+    def _networks(self, hand: PlannedHand) -> tuple[VgnNetwork, Meaning, HandJudge | None]:
+        """Return what predicts for a hand: weights of the iCub's hand know no other; the gripper's are for all."""
+        if is_learned(hand) and self._own is not self._gripper:
+            return self._own
+        if self._gripper is None:
+            self._gripper = load_network(_GRIPPER_WEIGHTS)
+        return self._gripper
+
+    def predict(self, cloud: PointCloud, table: Table | None, hand: PlannedHand) -> tuple[FloatArray, FloatArray]:
+        """Return poses (C, 4, 4) of the planning frame, world, and qualities (C,), best first, before any test.
 
         Args:
-            cloud: With its viewpoint, world frame.
+            cloud: With its viewpoint, world frame; of the planning world.
             table: The cube stands on it; without one, on the lowest point.
+            hand: What grasps.
         """
+        network, meaning, _ = self._networks(hand)
         volume, _, _ = _volume(cloud, table)
         tsdf = volume.tsdf((cloud,), table.top if self._table_in_volume and table is not None else None)
         with torch.inference_mode():
-            quality, rotation, width = self._network(torch.from_numpy(tsdf)[None, None])
+            quality, rotation, width = network(torch.from_numpy(tsdf)[None, None])
         found = select(
             tsdf,
             quality[0, 0].numpy(),
             rotation[0].numpy(),
             width[0, 0].numpy(),
             threshold=self._threshold,
-            widths=WIDTHS if self._meaning.pose == GRIPPER else None,
+            widths=WIDTHS if meaning.pose == GRIPPER else None,
         )
-        return hand_poses(found, volume, self._meaning.pose)
+        return hand_poses(found, volume, meaning.pose, hand)
 
-    def _judged(self, judge: HandJudge, T_right: FloatArray, cloud: PointCloud, table: Table | None) -> FloatArray:
-        volume, center, bottom = _volume(cloud, table)
-        return judge.judge(volume.range_view(cloud), T_right, center, bottom)
+
+def _judged(judge: HandJudge, T: FloatArray, cloud: PointCloud, table: Table | None) -> FloatArray:
+    volume, center, bottom = _volume(cloud, table)
+    return judge.judge(volume.range_view(cloud), T, center, bottom)
 
 
 def _volume(cloud: PointCloud, table: Table | None) -> tuple[Volume, FloatArray, float]:
@@ -153,8 +166,3 @@ def _viewpoint(cloud: PointCloud, robot: Robot) -> FloatArray:
         away = robot.forward_kinematics(robot.description.home_q, cameras[0].link)[:3, 3] - middle
         away[2] = max(float(away[2]), 0.1)
     return np.asarray(middle + _FIELD * away / np.linalg.norm(away))
-
-
-def _mirrored(cloud: PointCloud) -> PointCloud:
-    assert cloud.viewpoint is not None
-    return PointCloud(cloud.points @ _MIRROR[:3, :3], viewpoint=_MIRROR[:3, :3] @ cloud.viewpoint)

@@ -25,7 +25,7 @@ _POINTS = 1500
 def passes(grasp: Grasp, points: FloatArray, robot: Robot, geometry: HandGeometry) -> bool:
     """Return True if the hand keeps out of points (N, 3), on the way that the task takes."""
     home = robot.description.home_q
-    solution = robot.inverse_kinematics(grasp.backed_off(*_FAR), home, geometry.frame, group=f"{grasp.hand}_reach")
+    solution = robot.inverse_kinematics(grasp.backed_off(*_FAR), home, geometry.frame, group=geometry.reach)
     way = [robot.forward_kinematics(home + share * (solution.q - home), geometry.frame) for share in _SHARES]
     way += [grasp.backed_off(distance) for distance in _NEAR]
     last = [grasp.backed_off(distance) for distance in _AT_LAST]

@@ -1,4 +1,4 @@
-"""A cloud as a image of ranges from its viewpoint: what space is free, what is surface, what is hidden."""
+"""A cloud as a range image from its viewpoint: what space is free, what is surface, what is hidden."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NEIGHBORS = 4  # of eight, that a gap in the image needs to be filled
 
 
 class RangeView:
-    """Resamples a cloud to a image of ranges; distances to it are read along the rays.
+    """Resamples a cloud to a range image; distances to it are read along the rays.
 
     Args:
         cloud: With its viewpoint.

@@ -61,7 +61,7 @@ class Volume:
     def tsdf(self, views: tuple[PointCloud, ...], table_top: float | None = None) -> NDArray[np.float32]:
         """Integrate views, each a cloud with its viewpoint.
 
-        Every view is resampled to a image of ranges from its viewpoint. A voxel's distance is the range of its pixel
+        Every view is resampled to a range image from its viewpoint. A voxel's distance is the range of its pixel
         less its own, along the ray; several views are averaged where they measured.
 
         Args:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import lapack
 
-from icub_robots.kinematics.base import FloatArray
+from icub_core.geometry import FloatArray
 from icub_robots.kinematics.settings import DAMPING, MAX_STEP
 
 FEW_ROWS = 4  # of a batch: from here on one by one is faster

@@ -6,11 +6,9 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from icub_core.geometry import FloatArray
 from icub_core.interfaces.robot import IkSolution
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from icub_core.geometry import FloatArray
 from icub_robots.kinematics.active_set import step_batch
-from icub_robots.kinematics.base import FloatArray, IkRequest
+from icub_robots.kinematics.base import IkRequest
 from icub_robots.kinematics.settings import (
     CONVERGED,
     MIN_PROGRESS,

@@ -10,9 +10,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError
+from icub_core.geometry import FloatArray
 from icub_core.interfaces.robot import IkSolution
 from icub_robots.kinematics.active_set import step
-from icub_robots.kinematics.base import FloatArray, IkRequest
+from icub_robots.kinematics.base import IkRequest
 from icub_robots.kinematics.batch import ChainGeometry, descend
 from icub_robots.kinematics.model import PinocchioModel
 from icub_robots.kinematics.settings import (

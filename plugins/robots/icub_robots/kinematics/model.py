@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError, DataError, unknown_name
+from icub_core.geometry import FloatArray
 from icub_core.robot_description import RobotDescription
-
-FloatArray = NDArray[np.float64]
 
 
 class PinocchioModel:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from icub_core.geometry import FloatArray
 from icub_core.interfaces.robot import IkSolution
-from icub_robots.kinematics.base import FloatArray, IkRequest, Kinematics
+from icub_robots.kinematics.base import IkRequest, Kinematics
 from icub_robots.kinematics.damped_least_squares import ChainIk
 from icub_robots.kinematics.model import PinocchioModel
 

@@ -12,12 +12,13 @@ import pinocchio as pin
 import placo
 
 from icub_core.errors import ConfigError
+from icub_core.geometry import FloatArray
 from icub_core.interfaces.robot import IkSolution
 from icub_robots.cables import CABLE_MATRIX, CABLE_OFFSET, shoulder
-from icub_robots.cache import store_text
-from icub_robots.kinematics.base import FloatArray, IkRequest, Kinematics
+from icub_robots.kinematics.base import IkRequest, Kinematics
 from icub_robots.kinematics.model import PinocchioModel
 from icub_robots.kinematics.settings import AT_LIMIT, CONVERGED, MIN_PROGRESS
+from icub_support.cache import cached_text
 
 POSTURE_WEIGHT = 1e-6  # of staying near the start, against 1 of the pose; 1e-4 loses a tenth of the targets
 REGULARIZATION = 1e-4  # of the step
@@ -50,9 +51,7 @@ class PlacoKinematics(Kinematics):
         description = model.description
         self._names = description.joint_names
         urdf = _without_shapes(description.urdf.read_text(encoding="utf-8"))
-        self._robot: Any = placo.RobotWrapper(
-            str(store_text(urdf, "icub-bare", ".urdf")), placo.Flags.ignore_collisions
-        )
+        self._robot: Any = placo.RobotWrapper(str(cached_text("robots", urdf, ".urdf")), placo.Flags.ignore_collisions)
         self._robot.set_T_world_fbase(description.T_world_root)
         for name, low, high in zip(self._names, lower, upper, strict=True):
             self._robot.set_joint_limits(name, float(low), float(high))

@@ -1,4 +1,4 @@
-"""Numbers of the damped least squares solvers, each chosen by measurement (benchmarks/kinematics.py)."""
+"""Numbers of the damped least squares solvers, each chosen by measurement (`icub benchmark kinematics`)."""
 
 DAMPING = 1e-4  # added to the diagonal of J J^T; 1e-3 loses a tenth of the reachable targets
 MAX_STEP = 0.7  # rad, of any joint in one iteration: the linearization is worth little beyond

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import mujoco
 import numpy as np
@@ -128,7 +130,7 @@ def set_texture(model: mujoco.MjModel, name: str, image: NDArray[np.uint8]) -> i
     return number
 
 
-def set_lights(model: mujoco.MjModel, lights: tuple[Light, ...], center: NDArray[np.float64]) -> None:
+def set_lights(model: mujoco.MjModel, lights: Sequence[Light], center: NDArray[np.float64]) -> None:
     """Switch the first lights on as stated and the others off."""
     headlight = model.vis.headlight
     headlight.ambient[:] = np.clip(np.sum([light.ambient for light in lights], axis=0) if lights else 0.4, 0, 1)

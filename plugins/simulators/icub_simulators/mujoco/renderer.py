@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -10,8 +11,7 @@ from numpy.typing import NDArray
 
 from icub_core.data import RgbdFrame
 from icub_core.errors import SimulationError
-from icub_core.geometry import pinhole
-from icub_core.gl import make_context
+from icub_core.geometry import FloatArray, pinhole
 from icub_core.interfaces.simulator import Rendering
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import CameraView, Light, Material, Scene, Table
@@ -27,8 +27,7 @@ from icub_simulators.mujoco.looks import (
     set_surface,
     set_texture,
 )
-
-FloatArray = NDArray[np.float64]
+from icub_support.gl import make_context
 
 _Frustum = tuple[FloatArray, FloatArray]
 
@@ -83,7 +82,7 @@ class Renderer:
     ) -> Rendering:  # fmt: skip
         """Draw the world with its joints and objects at `qpos` as `view` sees it; see the simulator's interface."""
         if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
-            raise SimulationError(f"a image of {width} x {height} was asked for; expected 1 to {_MAX_SIDE} a side")
+            raise SimulationError(f"an image of {width} x {height} was asked for; expected 1 to {_MAX_SIDE} a side")
         self._pose(qpos, parked, None if shadows else view, width / height)
         self._aim(view, width, height)
         rgb, depth = self._draw(PRETTY if shadows else PLAIN, width, height, ids=False)
@@ -100,7 +99,7 @@ class Renderer:
         table: Material | None,
         floor: Material | None,
         backdrop: Material | None,
-        lights: tuple[Light, ...] | None,
+        lights: Sequence[Light] | None,
     ) -> None:
         """Change what is given; see the simulator's interface."""
         changed = []
@@ -155,7 +154,7 @@ class Renderer:
         )
 
     def _behind_top(self, eye: FloatArray, table: Table) -> NDArray[np.bool_]:
-        """Say which legs (L,) the table's top hides from an eye (3,) above it: those whose feet it hides."""
+        """Return which legs (L,) the table's top hides from an eye (3,) above it: those whose feet it hides."""
         height = eye[2] - table.top
         if height <= 0:
             return np.zeros(len(self._legs), dtype=np.bool_)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from icub_core.errors import DataError
 from icub_core.geometry import quat_wxyz_to_matrix
 from icub_core.scene import Geom, Material, ObjectSpec, RestPose, Vec3
-from icub_simulators.cache import Arrays, cache_folder, cached_arrays, content_key
 from icub_simulators.objects.solids import center_of_mass, hull_volume, oriented_hull, rest_pose
+from icub_support.cache import Arrays, cached_arrays, cached_text, content_key
 
 logger = logging.getLogger(__name__)
 
@@ -197,10 +197,4 @@ def _write_obj(vertices: FloatArray, faces: NDArray[np.integer]) -> Path:
     """Write an OBJ into the cache under its content's hash (every loader reads files) and return its path."""
     lines = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in vertices]
     lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
-    text = "\n".join(lines) + "\n"
-    path = cache_folder("pieces") / f"{content_key(text)}.obj"
-    if not path.exists():
-        from icub_core.files import write_text_atomically
-
-        write_text_atomically(path, text)
-    return path
+    return cached_text("pieces", "\n".join(lines) + "\n", ".obj")

@@ -7,19 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from icub_core.errors import SimulationError
-from icub_core.files import write_text_atomically
-from icub_core.geometry import matrix_to_quat_wxyz, quat_wxyz_to_matrix
+from icub_core.geometry import FloatArray, matrix_to_quat_wxyz, quat_wxyz_to_matrix
 from icub_core.robot_description import ContactMaterial, RobotDescription
 from icub_core.scene import Geom, ObjectSpec, Table
-from icub_simulators.cache import cache_folder, content_key
 from icub_simulators.objects.mass_properties import MassProperties
 from icub_simulators.pybullet.client import silence
 from icub_simulators.visual_meshes import decimated
-
-FloatArray = NDArray[np.float64]
+from icub_support.cache import cached_file, cached_text
 
 _TINY_MASS, _TINY_INERTIA = 1e-6, 1e-9
 _ELLIPSOID_DETAIL = 3
@@ -65,11 +61,7 @@ def _prepared_urdf(robot: RobotDescription) -> Path:
         for element in link.findall("visual"):
             for mesh in element.iter("mesh"):
                 mesh.set("filename", str(decimated(Path(mesh.attrib["filename"].removeprefix("file://")))))
-    text = ET.tostring(root, encoding="unicode")
-    path = cache_folder("bullet") / f"{content_key(text)}.urdf"
-    if not path.exists():
-        write_text_atomically(path, text)
-    return path
+    return cached_text("bullet", ET.tostring(root, encoding="unicode"), ".urdf")
 
 
 def set_robot_contacts(client: Any, body: int, links: dict[str, int], robot: RobotDescription, floor: int) -> None:
@@ -170,9 +162,10 @@ def _shapes(
 
 def _unit_ball() -> Path:
     """Write a ball of radius 1 once (Bullet has no ellipsoid) and return its path."""
-    path = cache_folder("pieces") / f"unit_ball_{_ELLIPSOID_DETAIL}.obj"
-    if not path.exists():
+
+    def make() -> bytes:
         import trimesh
 
-        write_text_atomically(path, trimesh.exchange.obj.export_obj(trimesh.creation.icosphere(_ELLIPSOID_DETAIL)))
-    return path
+        return str(trimesh.exchange.obj.export_obj(trimesh.creation.icosphere(_ELLIPSOID_DETAIL))).encode()
+
+    return cached_file("pieces", f"unit_ball_{_ELLIPSOID_DETAIL}.obj", make)

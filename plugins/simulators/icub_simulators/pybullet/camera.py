@@ -11,14 +11,11 @@ from numpy.typing import NDArray
 
 from icub_core.data import RgbdFrame
 from icub_core.errors import SimulationError
-from icub_core.files import write_bytes_atomically
-from icub_core.geometry import invert, pinhole
+from icub_core.geometry import FloatArray, invert, pinhole
 from icub_core.interfaces.simulator import Rendering
 from icub_core.scene import CameraView, Light, Material
-from icub_simulators.cache import cache_folder, content_key
 from icub_simulators.pybullet.world import World
-
-FloatArray = NDArray[np.float64]
+from icub_support.cache import cached_file, content_key
 
 NEAR, FAR = 0.02, 40.0
 _MAX_SIDE = 8192
@@ -53,7 +50,7 @@ class Camera:
     def render(self, view: CameraView, width: int, height: int, segmentation: bool, shadows: bool) -> Rendering:
         """Draw; see the simulator's interface."""
         if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
-            raise SimulationError(f"a image of {width} x {height} pixels; expected 1 to {_MAX_SIDE} a side")
+            raise SimulationError(f"an image of {width} x {height} pixels; expected 1 to {_MAX_SIDE} a side")
         client = self._world.client
         _, _, rgba, raw, codes = client.getCameraImage(
             width, height, _view_matrix(view.T_world_camera), _projection(view.fovy, width, height),
@@ -116,7 +113,5 @@ def _projection(fovy: float, width: int, height: int) -> list[float]:
 
 def _texture_file(image: NDArray[np.uint8]) -> Path:
     """Write a texture into the cache, where Bullet reads it."""
-    path = cache_folder("textures") / f"{content_key(image.tobytes(), *image.shape)}.png"
-    if not path.exists():
-        write_bytes_atomically(path, cv2.imencode(".png", image[..., ::-1])[1].tobytes())
-    return path
+    name = f"{content_key(image.tobytes(), *image.shape)}.png"
+    return cached_file("textures", name, lambda: cv2.imencode(".png", image[..., ::-1])[1].tobytes())

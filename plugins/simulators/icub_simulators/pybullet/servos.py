@@ -10,11 +10,9 @@ under-actuated tendons divide their stroke by what the joints meet.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from icub_core.geometry import FloatArray
 from icub_core.robot_description import JointDynamics, RobotDescription
-
-FloatArray = NDArray[np.float64]
 
 
 class Servos:

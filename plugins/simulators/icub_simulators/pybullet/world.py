@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError, SimulationError, unknown_name
-from icub_core.geometry import invert, make_transform, matrix_to_quat_wxyz, quat_wxyz_to_matrix
+from icub_core.geometry import FloatArray, invert, make_transform, matrix_to_quat_wxyz, quat_wxyz_to_matrix
 from icub_core.interfaces.simulator import Fault
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import Scene
@@ -15,8 +15,6 @@ from icub_simulators.objects.mass_properties import mass_properties
 from icub_simulators.pybullet.assembly import add_floor, add_object, add_table, load_robot, set_robot_contacts, xyzw
 from icub_simulators.pybullet.client import connect
 from icub_simulators.pybullet.servos import Servos
-
-FloatArray = NDArray[np.float64]
 
 GRAVITY = 9.81
 TOUCHING = 5e-4
@@ -155,7 +153,9 @@ class World:
         """Command every actuator; a command that is not finite is a fault and changes nothing."""
         targets = np.asarray(targets, dtype=np.float64)
         if targets.shape != self._command.shape:
-            raise SimulationError(f"command has shape {targets.shape}; expected {self._command.shape}, one an actuator")
+            raise SimulationError(
+                f"command has shape {targets.shape}; expected {self._command.shape}, one per actuator"
+            )
         if not np.all(np.isfinite(targets)):
             self._seen.add(Fault.NOT_A_NUMBER)
         elif self._servos is not None:
@@ -217,7 +217,7 @@ class World:
         return any(other == number for _, other in self._robot_contacts())
 
     def save(self) -> FloatArray:
-        """Return joints, velocities, commands, objects and time as one vector, and go on from exactly that vector.
+        """Return joints, velocities, commands, objects and time as one vector, and continue from exactly that vector.
 
         Bullet's own memory of contacts (from which its solver starts) cannot be put into a vector. It is cleared here
         and in `restore`, so that what follows a saved state is bit for bit what follows the restored one.

@@ -1,0 +1,1 @@
+"""Franka's Panda as a robot plugin of icub-kit."""
