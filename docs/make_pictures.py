@@ -24,7 +24,7 @@ from seeing import corrected, datasets, feature_task, main_job
 from simulated import cameras, hands, objects, robot
 from studio import FOLDER
 
-from icub_core.gl import choose_backend
+from icub_support.gl import choose_backend
 
 FROM_RUNS = {"main_job": main_job, "corrected": corrected}
 PICTURES: dict[str, Callable[[], None]] = {

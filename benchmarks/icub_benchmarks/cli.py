@@ -14,8 +14,8 @@ import sys
 import time
 from collections.abc import Sequence
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.results import command_line, make_parser, write_figures
-from icub_core.evaluation.results import Figure
 
 COMMANDS = {"cli.help_s": ["--help"], "cli.plugins_list_s": ["plugins", "list"]}
 

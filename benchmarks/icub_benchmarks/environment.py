@@ -8,7 +8,7 @@ TensorDict, scripted policy) from the pre-grasp pose to the end of the episode. 
 the environment takes above the physics steps it contains, as a share of them; the policy is not part of it. Processor
 time of one thread; the starts are planned beforehand.
 
-`sim.scaling_2`: control steps per second of wall time of two processes at once (`icub_core.workers`) over those of one;
+`sim.scaling_2`: control steps per second of wall time of two processes at once (`icub_benchmarks.workers`) over one's;
 `sim.scaling_2_limit`: the same of nothing but physics steps, in the engine's own loop: what the machine allows, with
 whatever else runs on it; `sim.scaling_2_threads`: of one environment whose worlds two threads step over the same with
 one thread.
@@ -31,9 +31,9 @@ from rich.console import Console
 from rich.progress import track
 
 import icub_core as icub
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.results import command_line, make_parser, write_figures
-from icub_core.evaluation.results import Figure
-from icub_core.workers import Workers
+from icub_benchmarks.workers import Workers
 from icub_tasks.grasping.task import GraspingTask
 from icub_tasks.grasping.world import StartState
 

@@ -21,9 +21,9 @@ import torch
 from numpy.typing import NDArray
 from rich.progress import Progress, TaskID
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.results import command_line, make_parser, write_figures
 from icub_core.construct import build
-from icub_core.evaluation.results import Figure
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_segmenters.faithful_rpn import FaithfulRpn

@@ -29,13 +29,14 @@ from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 
 import icub_core as icub
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.results import command_line, make_parser, work_folder, write_figures
-from icub_core.evaluation.results import Figure
+from icub_benchmarks.statistics import merge, paired_gain
 from icub_core.files import write_text_atomically
 from icub_core.interfaces.abilities import Learns
 from icub_core.interfaces.policy import LearnReport, Policy
 from icub_core.interfaces.task import Start, Task
-from icub_core.rollouts import EpisodeResults, merge, paired_gain, run_episodes
+from icub_core.rollouts import EpisodeResults, run_episodes
 
 EASY = ["004_sugar_box", "006_mustard_bottle", "010_potted_meat_can"]
 HARD = ["003_cracker_box", "021_bleach_cleanser", "035_power_drill"]

@@ -23,8 +23,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table as TextTable
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.results import command_line, make_parser, write_figures
-from icub_core.evaluation.results import Figure
 from icub_core.geometry import rotation_exp
 from icub_core.interfaces.robot import IkSolution
 from icub_core.scene import Table

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.results import command_line, make_parser, write_figures
-from icub_core.evaluation.results import Figure
 
 JOB = ("+segmenter=falkon", "+policy=resprect")
 UNITS = {"seconds": "s", "frames": "1", "episodes": "1"}

@@ -14,11 +14,12 @@ from functools import partial
 import numpy as np
 import torch
 
+from icub_benchmarks.statistics import merge
+from icub_benchmarks.workers import Workers
 from icub_core.errors import ConfigError
 from icub_core.interfaces.policy import Policy, Progress
 from icub_core.interfaces.task import Task
-from icub_core.rollouts import EpisodeResults, evaluate, merge
-from icub_core.workers import Workers
+from icub_core.rollouts import EpisodeResults, evaluate
 
 PATIENCE = 900.0
 """Seconds a worker may take for one chunk of episodes; a chunk takes one or two minutes."""

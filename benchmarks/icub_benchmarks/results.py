@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from icub_core.evaluation.results import Figure, write_results
+from icub_benchmarks.figures import Figure, write_results
 
 RUNS = Path("runs/benchmark")
 """Folder of the runs, below the folder in which the command is typed."""

@@ -23,9 +23,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table as TextTable
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.results import command_line, make_parser, write_figures
 from icub_core.errors import SimulationError
-from icub_core.evaluation.results import Figure
 from icub_core.geometry import make_transform, quat_wxyz_to_matrix, rotation_about
 from icub_core.interfaces.simulator import Simulator
 from icub_core.scene import ObjectSpec, Scene

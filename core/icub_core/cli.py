@@ -28,7 +28,9 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the first word; everything after it belongs to the command."""
     from icub_core.docstrings import first_line
 
-    commands = "\n".join(f"  {name:<12}{first_line(entry.value)}" for name, entry in commands_by_name().items())
+    commands = "\n".join(
+        f"  {name:<12}{first_line(entry.value)}" for name, entry in commands_by_name().items() if name[0] != "_"
+    )
     made = argparse.ArgumentParser(
         prog="icub",
         usage="icub [-h] [--version] COMMAND ...",
@@ -65,10 +67,6 @@ def _dispatch(words: list[str]) -> int:
     # what follows the command is cut off before argparse, so that flags for Hydra pass through
     if not words or words[0].startswith("-"):
         parser().parse_args(words[:1] or ["--help"])
-    if words[0] == "_complete":
-        from icub_core.commands.completion import complete
-
-        return complete(words[1:])
     known = commands_by_name()
     if words[0] not in known:
         raise ConfigError(unknown_name("command", words[0], known))

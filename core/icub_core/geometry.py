@@ -122,20 +122,6 @@ def rotation_exp(vector: ArrayLike) -> FloatArray:
     return quat_wxyz_to_matrix(np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) / angle * v]))
 
 
-def spread_rotations(count: int) -> FloatArray:
-    """Return `count` rotations (count, 3, 3) that are spread evenly over all of them; always the same ones.
-
-    Source: super-Fibonacci spirals, Alexa 2022.
-    """
-    s = np.arange(count) + 0.5
-    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
-    r, big_r = np.sqrt(s / count), np.sqrt(1.0 - s / count)
-    alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi
-    return quat_wxyz_to_matrix(
-        np.stack([r * np.sin(alpha), r * np.cos(alpha), big_r * np.sin(beta), big_r * np.cos(beta)], axis=1)
-    )
-
-
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Cross product of two vectors (3,): `np.cross` takes twenty times as long."""
     (x, y, z), (u, v, w) = a.tolist(), b.tolist()
@@ -161,24 +147,3 @@ def pinhole(width: int, height: int, fovy: float) -> FloatArray:
     """
     focal = 0.5 * height / np.tan(0.5 * fovy)
     return np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
-
-
-def euler_to_matrix(yaw_pitch_roll: FloatArray) -> FloatArray:
-    """Return the rotations (..., 3, 3) of Rx(roll) Ry(pitch) Rz(yaw), angles (..., 3) ordered yaw, pitch, roll."""
-    c, s = np.cos(yaw_pitch_roll), np.sin(yaw_pitch_roll)
-    cy, cp, cr = c[..., 0], c[..., 1], c[..., 2]
-    sy, sp, sr = s[..., 0], s[..., 1], s[..., 2]
-    R = np.empty((*yaw_pitch_roll.shape[:-1], 3, 3))
-    R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = cp * cy, -cp * sy, sp
-    R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = cr * sy + sr * sp * cy, cr * cy - sr * sp * sy, -sr * cp
-    R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = sr * sy - cr * sp * cy, sr * cy + cr * sp * sy, cr * cp
-    return R
-
-
-def matrix_to_euler(R: FloatArray) -> FloatArray:
-    """Invert `euler_to_matrix`: (..., 3) yaw in [0, 2 pi), pitch in [-pi/2, pi/2], roll in [0, 2 pi)."""
-    angles = np.empty((*R.shape[:-2], 3))
-    angles[..., 0] = np.arctan2(-R[..., 0, 1], R[..., 0, 0]) % (2 * np.pi)
-    angles[..., 1] = np.arcsin(np.clip(R[..., 0, 2], -1.0, 1.0))
-    angles[..., 2] = np.arctan2(-R[..., 1, 2], R[..., 2, 2]) % (2 * np.pi)
-    return angles

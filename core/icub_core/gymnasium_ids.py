@@ -1,9 +1,9 @@
 """Gymnasium's ids of tasks: a distribution announces them by entry points of the group ``icub.gymnasium``.
 
-The entry point's name is the id, its value the task's registry name::
+The entry point's name is the id, its value what makes the environment::
 
     [project.entry-points."icub.gymnasium"]
-    "icub/Grasp-v0" = "grasp"
+    "icub/Grasp-v0" = "icub_tasks.grasping.gym:make"
 
 ``import icub_core`` registers them, at once or as soon as Gymnasium is imported; it never imports Gymnasium itself.
 """
@@ -19,7 +19,6 @@ from importlib.util import find_spec
 from types import ModuleType
 
 ENTRY_POINT_GROUP = "icub.gymnasium"
-MAKE = "icub_core.gym_adapter:make"
 AWAITED = "gymnasium.envs"
 """The package whose import completes Gymnasium's registry."""
 
@@ -36,7 +35,7 @@ def _register() -> None:
     registration = sys.modules["gymnasium.envs.registration"]
     for entry in entry_points(group=ENTRY_POINT_GROUP):
         if entry.name not in registration.registry:
-            registration.register(id=entry.name, entry_point=MAKE, kwargs={"task": entry.value})
+            registration.register(id=entry.name, entry_point=entry.value)
 
 
 class _Awaiting(MetaPathFinder):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,18 +80,6 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     middle = (share + z2 / (2 * trials)) / (1 + z2 / trials)
     half = WILSON_Z * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)
     return float(max(middle - half, 0.0)), float(min(middle + half, 1.0))
-
-
-def paired_gain(
-    better: EpisodeResults, base: EpisodeResults, *, resamples: int = 10_000, seed: int = 0
-) -> tuple[float, tuple[float, float]]:
-    """Return the difference of success rates over the same starts and its 95 % bootstrap interval (over episodes)."""
-    if len(better) != len(base) or better.objects != base.objects:
-        raise ConfigError("a paired comparison needs results of the same episodes")
-    difference = better.success.astype(np.float64) - base.success
-    draws = np.random.default_rng(seed).integers(len(difference), size=(resamples, len(difference)))
-    low, high = np.quantile(difference[draws].mean(axis=1), [0.025, 0.975])
-    return float(difference.mean()), (float(low), float(high))
 
 
 def evaluate(
@@ -200,17 +188,3 @@ def _act(policy: Policy, observation: TensorDictBase) -> torch.Tensor:
             f"the policy {type(policy).__name__} asks for the observation {missing}, which the task does not have (a "
             f"policy written for version 1 of the interface? this is version 2). Known: {known}"
         ) from missing
-
-
-def merge(results: Sequence[EpisodeResults]) -> EpisodeResults:
-    """Put the results of several evaluations, such as one for each object, one after another."""
-    return EpisodeResults(
-        np.concatenate([r.success for r in results]),
-        np.concatenate([r.returns for r in results]),
-        np.concatenate([r.steps for r in results]),
-        np.concatenate([r.reasons for r in results]),
-        tuple(name for r in results for name in r.objects),
-        results[0].reason_names,
-        sum(r.faults for r in results),
-        sum(r.resamples for r in results),
-    )

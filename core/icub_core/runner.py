@@ -16,10 +16,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from icub_core.config.assembly import Assembly
 from icub_core.errors import DataError
-from icub_core.evaluation.results import machine, versions
 from icub_core.files import write_text_atomically
 from icub_core.hooks import Events
 from icub_core.interfaces.pipeline import Pipeline, Stage
+from icub_core.provenance import machine, versions
 from icub_core.run import Run
 
 logger = logging.getLogger(__name__)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from icub_core.data import Instance, RgbdFrame, tight_boxes
 from icub_core.errors import CheckpointError, NotFittedError
-from icub_core.evaluation.overlap import mask_iou
 from icub_core.interfaces.abilities import AddsClasses
 from icub_core.interfaces.segmenter import Segmenter
+from icub_support.overlap import mask_iou
 from icub_testing.checks import Make
 from icub_testing.expect import expect, expect_raises, expect_same
 from icub_testing.tiny.things import draw_frame

@@ -272,19 +272,19 @@ def check_save_and_restore(make: Make) -> None:
         expect_same(saved, kept, "the saved vector before and after")
 
 
-def check_picture(make: Make) -> None:
+def check_rendering(make: Make) -> None:
     """Images have the size asked for, and depth in meters that agrees with the scene."""
     view = _from_above(-0.35, 0.0)
     with _world(make) as simulator:
         simulator.set_object_pose("red", _place("red", -0.35, 0.0))
-        picture = simulator.render(view, 100, 80, segmentation=True)
-        frame = picture.frame
-        assert picture.segmentation is not None
+        rendering = simulator.render(view, 100, 80, segmentation=True)
+        frame = rendering.frame
+        assert rendering.segmentation is not None
         expect(frame.rgb.shape == (80, 100, 3), "an image of (80, 100, 3)", frame.rgb.shape)
-        expect(picture.segmentation.shape == (80, 100), "a segmentation of (80, 100)", picture.segmentation.shape)
+        expect(rendering.segmentation.shape == (80, 100), "a segmentation of (80, 100)", rendering.segmentation.shape)
         expect_close(frame.T_world_camera, view.T_world_camera, 1e-9, "the pose of the camera")
         spec = simulator.scene.objects[0]
-        on_object, on_table = picture.segmentation == 0, picture.segmentation == -1
+        on_object, on_table = rendering.segmentation == 0, rendering.segmentation == -1
         expect(on_object.sum() > 20, "more than 20 pixels of the object", int(on_object.sum()))
         local = frame.to_cloud(on_object).points - simulator.object_pose("red")[:3, 3]
         beyond = float((np.abs(local) - np.asarray(spec.half_extents)).max())
@@ -301,14 +301,14 @@ def check_pixels(make: Make) -> None:
     with _world(make) as simulator:
         simulator.set_object_pose("red", _place("red", -0.35, 0.0))
         for width, height in ((100, 80), (101, 81)):
-            picture = simulator.render(_from_above(-0.35, 0.0), width, height, segmentation=True)
-            assert picture.segmentation is not None
-            rows, columns = np.nonzero(picture.segmentation == 0)
+            rendering = simulator.render(_from_above(-0.35, 0.0), width, height, segmentation=True)
+            assert rendering.segmentation is not None
+            rows, columns = np.nonzero(rendering.segmentation == 0)
             middle = np.array([columns.mean(), rows.mean()])
             expect_close(
                 middle, [(width - 1) / 2, (height - 1) / 2], PIXEL_ERROR, "the middle of an object on the axis"
             )
-            K = picture.frame.intrinsics
+            K = rendering.frame.intrinsics
             expect_close(K[:2, 2], middle, PIXEL_ERROR, "the principal point in the intrinsics")
             expect_close(K[0, 0], 0.5 * height / np.tan(0.5 * 0.7), 0.5, "the focal length for a field of view of 0.7")
 

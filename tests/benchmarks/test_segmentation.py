@@ -20,11 +20,11 @@ from icub_benchmarks.segmentation.trial_report import markdown_table, plot_over_
 from icub_benchmarks.segmentation.trials import Run
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import ConfigError, DataError, NotFittedError
-from icub_core.evaluation.detection import MEAN_NAMES, DetectionMetrics
 from icub_core.geometry import pinhole
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 from icub_segmenters.heads.linear import Linear
+from icub_support.detection import MEAN_NAMES, DetectionMetrics
 
 COLORS = {"red": (200, 20, 20), "green": (20, 200, 20), "blue": (20, 20, 200)}
 

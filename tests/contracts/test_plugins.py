@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from icub_core.commands.plugins import every_plugin
 from icub_core.kinds import KINDS
 from icub_core.registry import PluginInfo
+from icub_support.commands.plugins import every_plugin
 from icub_testing.checks import checks
 from icub_testing.fakes import with_tiny_dependencies
 

@@ -18,11 +18,11 @@ from pathlib import Path
 
 import pytest
 
-from icub_core.commands.plugins import every_plugin, markdown_table, summary
 from icub_core.construct import build
 from icub_core.errors import IcubError
 from icub_core.kinds import KINDS
 from icub_core.registry import PluginInfo
+from icub_support.commands.plugins import every_plugin, markdown_table, summary
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())

@@ -14,9 +14,9 @@ import yaml
 
 from icub_core import __version__
 from icub_core.cli import main
-from icub_core.commands.completion import SCRIPTS, candidates
 from icub_core.commands.installed import commands_by_name
 from icub_core.errors import DataError, IcubError
+from icub_support.commands.completion import SCRIPTS, candidates
 from icub_testing.tiny import TINY
 
 HEAVY = {

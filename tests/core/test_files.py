@@ -3,8 +3,8 @@ import json
 
 import pytest
 
+from icub_benchmarks.figures import Figure, write_results
 from icub_core.errors import CheckpointError
-from icub_core.evaluation.results import Figure, write_results
 from icub_core.files import write_atomically, write_text_atomically
 
 

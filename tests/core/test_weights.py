@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import nn
 
-from icub_core import weights
 from icub_core.errors import CheckpointError, WeightsError
+from icub_support import weights
 
 
 def test_tensors_and_header_come_back_as_they_were(tmp_path):

@@ -5,8 +5,8 @@ import time
 
 import pytest
 
+from icub_benchmarks.workers import Workers
 from icub_core.errors import ConfigError, DataError, SimulationError
-from icub_core.workers import Workers
 
 
 def square(job):

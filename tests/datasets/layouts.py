@@ -12,7 +12,7 @@ import numpy as np
 H, W = 48, 64
 
 
-def picture(seed: int, size: tuple[int, int] = (H, W)) -> np.ndarray:
+def random_image(seed: int, size: tuple[int, int] = (H, W)) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 255, (*size, 3), dtype=np.uint8)
 
 
@@ -34,7 +34,7 @@ def write_bop_scene(folder: Path, images: list[int], object_ids: list[int], hidd
     truth, info, cameras = {}, {}, {}
     for image in images:
         name = f"{image:06d}"
-        write_png(folder / "rgb" / f"{name}.png", picture(image))
+        write_png(folder / "rgb" / f"{name}.png", random_image(image))
         write_png(folder / "depth" / f"{name}.png", np.full((H, W), 5000 + image, dtype=np.uint16))
         truth[str(image)], info[str(image)] = [], []
         for number, object_id in enumerate(object_ids):
@@ -79,7 +79,7 @@ def python2_pickle(content: dict) -> bytes:
 def write_ho3d_sequence(folder: Path, frames: int, first: int = 0, without_object: int | None = None) -> None:
     for i in range(first, first + frames):
         name = f"{i:04d}"
-        write_png(folder / "rgb" / f"{name}.png", picture(i))
+        write_png(folder / "rgb" / f"{name}.png", random_image(i))
         units = np.uint16(4000 + i)
         depth = np.zeros((H, W, 3), np.uint8)  # written as BGR: red holds the low byte, green the high one
         depth[..., 2], depth[..., 1] = units & 255, units >> 8
@@ -99,8 +99,8 @@ def write_ho3d_sequence(folder: Path, frames: int, first: int = 0, without_objec
 def write_coco(root: Path) -> Path:
     from faster_coco_eval import mask as rle
 
-    write_png(root / "val2017" / "000000000139.jpg", picture(1))
-    write_png(root / "val2017" / "000000000285.jpg", picture(2)[..., 0])  # gray
+    write_png(root / "val2017" / "000000000139.jpg", random_image(1))
+    write_png(root / "val2017" / "000000000285.jpg", random_image(2)[..., 0])  # gray
     compressed = rle.encode(np.asfortranarray((rectangle(5, 6, 15, 26) > 0).astype(np.uint8)))
     counts = compressed["counts"]
     compressed["counts"] = counts.decode() if isinstance(counts, bytes) else counts
@@ -129,14 +129,14 @@ def write_coco(root: Path) -> Path:
 
 def write_image_folder(root: Path) -> Path:
     """A color JPEG with two cups, a gray PNG of another size, one with alpha, one without anything in it."""
-    write_png(root / "images" / "kitchen.jpg", picture(1))
+    write_png(root / "images" / "kitchen.jpg", random_image(1))
     write_png(root / "masks" / "kitchen" / "cup.png", rectangle(2, 2, 20, 20))
     write_png(root / "masks" / "kitchen" / "cup.2.png", rectangle(30, 2, 50, 20))
-    write_png(root / "images" / "gray.png", picture(2, (30, 40))[..., 0])
+    write_png(root / "images" / "gray.png", random_image(2, (30, 40))[..., 0])
     write_png(root / "masks" / "gray" / "box.png", rectangle(1, 1, 9, 9, (30, 40)) // 255)
-    write_png(root / "images" / "glass.png", np.dstack([picture(3), np.full((H, W), 128, np.uint8)]))
+    write_png(root / "images" / "glass.png", np.dstack([random_image(3), np.full((H, W), 128, np.uint8)]))
     write_png(root / "masks" / "glass" / "box.png", np.dstack([rectangle(5, 5, 9, 9)] * 3))
-    write_png(root / "images" / "nothing.png", picture(4).astype(np.uint16) * 257)
+    write_png(root / "images" / "nothing.png", random_image(4).astype(np.uint16) * 257)
     (root / "masks" / "nothing").mkdir()
     write_png(root / "depth" / "kitchen.png", np.full((H, W), 750, np.uint16))
     (root / "train.txt").write_text("kitchen\nnothing\n")

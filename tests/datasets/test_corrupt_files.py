@@ -169,7 +169,7 @@ def test_damaged_pickles_raise_nothing_else(tmp_path, data):
 def test_damaged_images_give_an_image_or_a_named_error(tmp_path, data):
     suffix = data.draw(st.sampled_from([".png", ".jpg", ".bmp", ".tif"]))
     file = tmp_path / f"x{suffix}"
-    layouts.write_png(file, layouts.picture(0, (12, 16)))
+    layouts.write_png(file, layouts.random_image(0, (12, 16)))
     content = bytearray(file.read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))

@@ -34,7 +34,7 @@ def write_episode(folder: Path, instruction: str, seed: int) -> dict:
     }
     for suffix in ("", "_left", "_wrist"):
         for i in range(STEPS):
-            layouts.write_png(folder / f"images{suffix}" / f"{i}.png", layouts.picture(i, (12, 16)))
+            layouts.write_png(folder / f"images{suffix}" / f"{i}.png", layouts.random_image(i, (12, 16)))
             layouts.write_png(folder / f"depth{suffix}" / f"{i}.png", np.full((12, 21), 1000 + i, np.uint16))
     (folder / "data.pkl").write_bytes(pickle.dumps(content, protocol=2))
     return content
@@ -77,7 +77,7 @@ def test_a_step_is_in_metres_and_wxyz(lhmanip):
     np.testing.assert_array_equal(step.state["joint_velocities"], state[16:23])
     np.testing.assert_array_equal(step.action, action[[0, 1, 2, 6, 3, 4, 5, 7]])
     assert [step.depth[c][0, 0] for c in ("main", "left", "wrist")] == pytest.approx([1.001, 0.5005, 0.1001])
-    np.testing.assert_array_equal(step.rgb["wrist"], layouts.picture(1, (12, 16))[..., ::-1])
+    np.testing.assert_array_equal(step.rgb["wrist"], layouts.random_image(1, (12, 16))[..., ::-1])
     with pytest.raises(IndexError):
         episode[STEPS]
 

@@ -47,7 +47,7 @@ def test_ycb_video_splits(ycb_video):
 
 def test_ycb_video_frame(ycb_video):
     frame, instances = YcbVideo(path=ycb_video)[2]
-    np.testing.assert_array_equal(frame.rgb, layouts.picture(8)[..., ::-1])  # written as BGR
+    np.testing.assert_array_equal(frame.rgb, layouts.random_image(8)[..., ::-1])  # written as BGR
     assert frame.depth[0, 0] == pytest.approx(0.5008)  # 5008 units of 0.1 mm
     assert frame.intrinsics[0, 0] == pytest.approx(106.7)
     # the camera looks along z of a world that is 0.5 m before it: its center is where w2c gives 0
@@ -122,8 +122,8 @@ def test_image_folder_reads_any_image(tmp_path):
     assert frame.depth[0, 0] == pytest.approx(0.75)
     assert samples["gray"][0].rgb.shape == (30, 40, 3)
     assert samples["gray"][1][0].box.tolist() == [1, 1, 9, 9]  # masks of 0 and 1 count too
-    np.testing.assert_array_equal(samples["glass"][0].rgb, layouts.picture(3)[..., ::-1])
-    np.testing.assert_array_equal(samples["nothing"][0].rgb, layouts.picture(4)[..., ::-1])  # 16 bits
+    np.testing.assert_array_equal(samples["glass"][0].rgb, layouts.random_image(3)[..., ::-1])
+    np.testing.assert_array_equal(samples["nothing"][0].rgb, layouts.random_image(4)[..., ::-1])  # 16 bits
     assert samples["nothing"][1] == ()
     train = ImageFolder(path=tmp_path, split="train")
     assert [i.image.stem for i in train._items] == ["kitchen", "nothing"]

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from tests.docs.pages import EXAMPLE, PAGES, ROOT, blocks, figures, of, pages, read, section
 
+from icub_benchmarks.command import benchmarks
 from icub_core import registry
-from icub_core.commands.benchmark import benchmarks
-from icub_core.commands.train import trainer, trainings
 from icub_core.config.compose import compose
 from icub_core.hooks import EVENTS
 from icub_core.kinds import KINDS
+from icub_support.commands.train import trainer, trainings
 
 REPRODUCE = ROOT / "docs" / "reproduce.md"
 RUNNING = ROOT / "docs" / "running.md"

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from icub_benchmarks.segmentation.voc import average_precision, evaluate_voc
 from icub_core.data import Instance
 from icub_core.errors import ConfigError, DataError
-from icub_core.evaluation.detection import evaluate_instances
-from icub_core.evaluation.overlap import box_iou, mask_iou
-from icub_core.evaluation.proposals import average_recall, best_overlaps, recall
+from icub_segmenters.feature_extractors.proposals import average_recall, best_overlaps, recall
+from icub_support.detection import evaluate_instances
+from icub_support.overlap import box_iou, mask_iou
 
 H, W = 24, 32
 
@@ -245,7 +245,9 @@ def test_unknown_rule_names_the_nearest():
 def test_the_core_does_not_import_the_library_by_itself():
     import subprocess
 
-    code = "import sys, icub_core.evaluation.detection, icub_benchmarks.segmentation.voc; print('faster_coco_eval' in sys.modules)"
+    code = (
+        "import sys, icub_support.detection, icub_benchmarks.segmentation.voc; print('faster_coco_eval' in sys.modules)"
+    )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "False"
 

@@ -10,7 +10,6 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from icub_core.errors import CheckpointError, ConfigError, DataError, WeightsError
-from icub_core.weights import read_card
 from icub_segmenters.feature_extractors import training
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
 from icub_segmenters.feature_extractors.compact_regions import (
@@ -24,6 +23,7 @@ from icub_segmenters.feature_extractors.compact_regions import (
 from icub_segmenters.feature_extractors.evaluation import paste
 from icub_segmenters.feature_extractors.network import CompactNetwork
 from icub_segmenters.feature_extractors.weights import SHIPPED
+from icub_support.weights import read_card
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDict
 
-from icub_core.appearance import random_lights, random_surface
 from icub_core.data import Instance
 from icub_core.geometry import is_rigid
 from icub_core.hooks import Events, listen
@@ -17,6 +16,7 @@ from icub_pipelines.grasping import Announcer
 from icub_pipelines.images import contact_sheet, draw_instances, save_animation, save_image
 from icub_pipelines.report import write_report
 from icub_pipelines.tabletop import scatter, standing_pose
+from icub_support.appearance import random_lights, random_surface
 
 
 def box(name, x, y, z):

@@ -13,12 +13,12 @@ from tensordict import TensorDict
 
 from icub_core.construct import build
 from icub_core.errors import ConfigError
-from icub_core.flare import flare
 from icub_policies.gpayn import Gpayn
 from icub_policies.inputs import STACK
 from icub_policies.learner import seeing
 from icub_policies.replay import CUT, RUNNING, TERMINAL, Replay
 from icub_policies.resprect import Resprect
+from icub_support.flare import flare
 from icub_tasks.grasping.visual import ImageEncoder
 from icub_testing.tiny.perception import TinyFeatureExtractor
 

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from icub_core.cache import cached_text
 from icub_core.errors import DataError
 from icub_robots import models, urdf
 from icub_robots.description import describe
 from icub_robots.icub import ICub
+from icub_support.cache import cached_text
 
 FRAMES = ("r_hand_dh_frame", "r_hand_thumb_3", "r_hand_index_3", "r_hand_little_tip", "head", "chest", "r_forearm")
 

@@ -7,7 +7,6 @@ from safetensors.torch import save_file
 
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import CheckpointError, DataError
-from icub_core.evaluation.detection import evaluate_instances
 from icub_core.geometry import pinhole
 from icub_core.interfaces.feature_extractor import RpnCells
 from icub_segmenters.baselines.linear_softmax import LinearSoftmax
@@ -18,6 +17,7 @@ from icub_segmenters.baselines.output_layers import OutputLayers
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
 from icub_segmenters.heads.linear import Linear
 from icub_segmenters.online_segmenter import OnlineSegmenter
+from icub_support.detection import evaluate_instances
 from icub_testing.tiny import tiny_class
 from icub_testing.tiny.things import draw_frame
 

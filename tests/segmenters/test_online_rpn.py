@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from icub_core.errors import CheckpointError, NotFittedError
-from icub_core.evaluation.proposals import best_overlaps, recall
 from icub_core.interfaces.feature_extractor import RpnCells
 from icub_segmenters import shared_rpn
 from icub_segmenters.faithful_rpn import FaithfulRpn, label_anchors
+from icub_segmenters.feature_extractors.proposals import best_overlaps, recall
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.heads.linear import Linear
 from icub_segmenters.minibootstrap import Minibootstrap

@@ -9,10 +9,10 @@ from safetensors.torch import load_file, save_file
 
 from icub_core.data import Instance
 from icub_core.errors import CheckpointError, ConfigError, DataError, NotFittedError
-from icub_core.evaluation.detection import evaluate_instances
 from icub_segmenters.heads.linear import Linear
 from icub_segmenters.online_segmenter import OnlineSegmenter
 from icub_segmenters.procedure import Procedure
+from icub_support.detection import evaluate_instances
 
 COLORS = ["red", "green", "blue"]
 

@@ -118,7 +118,7 @@ def test_an_unknown_graphics_choice_is_one_clear_line(loaded, monkeypatch):
 
 def test_no_graphics_library_names_the_packages(loaded, monkeypatch):
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr("icub_core.gl._library_exists", lambda backend: False)
+    monkeypatch.setattr("icub_support.gl._library_exists", lambda backend: False)
     with pytest.raises(SimulationError, match="apt-get install"):
         loaded.render("head_cam")
 
@@ -168,7 +168,7 @@ def test_the_solver_s_sparse_matrices_give_what_dense_ones_give(loaded, ycb, sta
 
 def test_objects_are_eliminated_last(loaded):
     """The order that keeps the fingers on one object from filling the solver's matrix; see `build_spec`."""
-    robot, item = loaded._physics.index.qvel, loaded._physics.index.objects["004_sugar_box"].qvel
+    robot, item = loaded._engine.index.qvel, loaded._engine.index.objects["004_sugar_box"].qvel
     assert item.stop <= robot.start
 
 
@@ -210,11 +210,11 @@ def test_table_legs_are_left_out_only_where_the_top_hides_them(loaded):
     for k in range(60):  # from below the top, beside and above it
         eye = center + [rng.uniform(-2.0, 2.0), rng.uniform(-2.0, 2.0), rng.uniform(-0.2, 2.0)]
         view = CameraView(look_at(eye, center + rng.uniform(-0.4, 0.4, 3)), fovy=1.2)
-        picture = loaded.render(view, 160, 120).frame
+        rendering = loaded.render(view, 160, 120).frame
         left_out += int(np.sum(renderer.model.geom_group[legs] == 5))
         renderer._legs = legs[:0]
         whole = loaded.render(view, 160, 120).frame
         renderer._legs = legs
-        np.testing.assert_array_equal(picture.rgb, whole.rgb, err_msg=f"image {k}")
-        np.testing.assert_array_equal(picture.depth, whole.depth, err_msg=f"image {k}")
+        np.testing.assert_array_equal(rendering.rgb, whole.rgb, err_msg=f"image {k}")
+        np.testing.assert_array_equal(rendering.depth, whole.depth, err_msg=f"image {k}")
     assert 20 < left_out < 200

@@ -19,24 +19,24 @@ def still(world, ycb, standing):
 
 
 def test_depth_of_a_box_is_right_to_a_millimetre(still):
-    picture = still.render(OVERHEAD, 320, 240, segmentation=True)
-    box = picture.segmentation == 0
+    rendering = still.render(OVERHEAD, 320, 240, segmentation=True)
+    box = rendering.segmentation == 0
     assert box.sum() > 500
     inside = box & np.roll(box, 2, 0) & np.roll(box, -2, 0) & np.roll(box, 2, 1) & np.roll(box, -2, 1)
-    np.testing.assert_allclose(picture.frame.depth[inside], 1.75 - 0.95 - 0.089, atol=1e-3)
+    np.testing.assert_allclose(rendering.frame.depth[inside], 1.75 - 0.95 - 0.089, atol=1e-3)
 
 
 def test_the_cloud_of_a_box_lies_on_its_top_face(still):
     """Back-projection with the stated intrinsics meets the true edges: pixel centers have whole coordinates."""
-    picture = still.render(OVERHEAD, 640, 480, segmentation=True)
-    points = picture.frame.to_cloud(picture.segmentation == 0).points
-    pixel = 0.711 / picture.frame.intrinsics[0, 0]
+    rendering = still.render(OVERHEAD, 640, 480, segmentation=True)
+    points = rendering.frame.to_cloud(rendering.segmentation == 0).points
+    pixel = 0.711 / rendering.frame.intrinsics[0, 0]
     top = points[points[:, 2] > 1.03]
     np.testing.assert_allclose(top[:, :2].max(axis=0), [-0.35 + 0.019, 0.0875], atol=1.0 * pixel)
     np.testing.assert_allclose(top[:, :2].min(axis=0), [-0.35 - 0.019, -0.0875], atol=1.0 * pixel)
 
 
-def test_picture_is_not_mirrored(still, ycb, standing):
+def test_image_is_not_mirrored(still, ycb, standing):
     """Seen from above with world x upwards, an object at +y is on the left."""
     still.set_object_pose("005_tomato_soup_can", standing(ycb.get("005_tomato_soup_can"), y=0.15))
     seen = still.render(OVERHEAD, 320, 240, segmentation=True).segmentation
@@ -50,7 +50,7 @@ def test_segmentation_names_objects_and_nothing_else(still):
     assert still.render(OVERHEAD, 160, 120).segmentation is None
 
 
-def test_an_object_covers_the_pixels_where_it_changes_the_picture(still):
+def test_an_object_covers_the_pixels_where_it_changes_the_image(still):
     with_box = still.render(OVERHEAD, 160, 120, segmentation=True)
     pose = still.object_pose("004_sugar_box")
     still.park_object("004_sugar_box")
@@ -60,14 +60,14 @@ def test_an_object_covers_the_pixels_where_it_changes_the_picture(still):
     assert np.mean(changed != (with_box.segmentation == 0)) < 0.005
 
 
-def test_the_same_picture_twice(still):
+def test_the_same_image_twice(still):
     first, second = (still.render("head_cam", 160, 120, segmentation=True) for _ in range(2))
     np.testing.assert_array_equal(first.frame.rgb, second.frame.rgb)
     np.testing.assert_array_equal(first.frame.depth, second.frame.depth)
     np.testing.assert_array_equal(first.segmentation, second.segmentation)
 
 
-def test_a_picture_does_not_change_the_future(still):
+def test_a_image_does_not_change_the_future(still):
     state = still.save_state()
     still.step(20)
     end = still.save_state()
@@ -78,7 +78,7 @@ def test_a_picture_does_not_change_the_future(still):
     still.restore_state(state)
 
 
-def test_a_picture_shows_the_present(still):
+def test_a_image_shows_the_present(still):
     """Also right after a teleport, before any step."""
     state = still.save_state()
     still.set_object_pose("004_sugar_box", make_transform(None, [-0.35, 0.0, 1.3]))
@@ -88,12 +88,12 @@ def test_a_picture_shows_the_present(still):
 
 def test_a_tracking_camera_has_its_target_in_the_middle(still):
     target = still.object_pose("004_sugar_box")[:3, 3]
-    picture = still.render("head_cam", 160, 120, look_at=target, segmentation=True)
-    rows, columns = np.nonzero(picture.segmentation == 0)
+    rendering = still.render("head_cam", 160, 120, look_at=target, segmentation=True)
+    rows, columns = np.nonzero(rendering.segmentation == 0)
     assert abs(columns.mean() - 79.5) < 6
     assert abs(rows.mean() - 59.5) < 6
-    axis = picture.frame.T_world_camera[:3, 2]
-    toward = target - picture.frame.T_world_camera[:3, 3]
+    axis = rendering.frame.T_world_camera[:3, 2]
+    toward = target - rendering.frame.T_world_camera[:3, 3]
     np.testing.assert_allclose(axis, toward / np.linalg.norm(toward), atol=1e-9)
 
 
@@ -110,7 +110,7 @@ def test_a_named_camera_rides_on_its_link(still, icub):
     np.testing.assert_allclose(after, head @ before, atol=1e-6)
 
 
-def test_the_robot_is_in_the_picture(still):
+def test_the_robot_is_in_the_image(still):
     front = CameraView(look_at([-1.5, 0.0, 1.4], [0.0, 0.0, 1.2]), 0.9)
     depth = still.render(front, 160, 120).frame.depth
     chest = depth[60, 80]
@@ -119,9 +119,9 @@ def test_the_robot_is_in_the_picture(still):
 
 @pytest.mark.parametrize("size", [(1, 1), (33, 17), (900, 700)])
 def test_any_size(still, size):
-    picture = still.render(OVERHEAD, *size)
-    assert picture.frame.rgb.shape == (size[1], size[0], 3)
-    assert np.isfinite(picture.frame.depth).all()
+    rendering = still.render(OVERHEAD, *size)
+    assert rendering.frame.rgb.shape == (size[1], size[0], 3)
+    assert np.isfinite(rendering.frame.depth).all()
 
 
 def test_a_size_that_cannot_be_is_one_line(still):
@@ -162,8 +162,8 @@ def test_every_ycb_object_has_its_own_look(engine, ycb, standing):
         engine.reset()
         engine.set_object_pose(name, standing(ycb.get(name)))
         view = CameraView(look_at([0.2, 0.1, 1.4], [-0.35, 0.0, 1.02]), 0.5)
-        picture = engine.render(view, 160, 120, segmentation=True)
-        pixels = picture.frame.rgb[picture.segmentation == number]
+        rendering = engine.render(view, 160, 120, segmentation=True)
+        pixels = rendering.frame.rgb[rendering.segmentation == number]
         assert len(pixels) > 200, name
         assert pixels.std(axis=0).max() > 12, f"{name} has no print"
         means.append(pixels.mean(axis=0))

@@ -7,13 +7,14 @@ import pytest
 import trimesh
 
 from icub_core.errors import DataError
-from icub_core.geometry import is_rigid, make_transform, quat_wxyz_to_matrix, spread_rotations
+from icub_core.geometry import is_rigid, make_transform, quat_wxyz_to_matrix
 from icub_core.scene import Scene
 from icub_simulators.mujoco.simulator import Mujoco
 from icub_simulators.objects.folder import Folder
 from icub_simulators.objects.resting import drop, rest_poses
 from icub_simulators.objects.solids import stable_poses
 from icub_simulators.pybullet.simulator import PyBullet
+from icub_support.rotations import spread_rotations
 
 
 @pytest.fixture(autouse=True, scope="module")

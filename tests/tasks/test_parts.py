@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from icub_benchmarks.statistics import paired_gain
 from icub_core.construct import build
 from icub_core.errors import ConfigError
-from icub_core.geometry import euler_to_matrix, matrix_to_euler, rotation_exp, rotation_log
+from icub_core.geometry import rotation_exp, rotation_log
 from icub_core.interfaces.robot import Robot
-from icub_core.rollouts import EpisodeResults, paired_gain, wilson_interval
-from icub_tasks.grasping.spaces import hand_layout, pose_vector
+from icub_core.rollouts import EpisodeResults, wilson_interval
+from icub_tasks.grasping.spaces import euler_to_matrix, hand_layout, matrix_to_euler, pose_vector
 from icub_tasks.grasping.termination import EndReason, end_reasons
 from icub_tasks.grasping.tracking import HandTracker, small_rotation
 

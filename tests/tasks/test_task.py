@@ -10,12 +10,12 @@ from gymnasium.utils.env_checker import check_env
 from torchrl.envs.utils import check_env_specs
 
 from icub_core.errors import CheckpointError, ConfigError, SimulationError
-from icub_core.flare import flare
-from icub_core.gym_adapter import GymTask
 from icub_core.interfaces.policy import Policy
 from icub_core.interfaces.world import Fault
 from icub_core.rollouts import evaluate
 from icub_policies.demonstrations import Demonstrations
+from icub_support.flare import flare
+from icub_support.gym_adapter import GymTask
 from icub_tasks.grasping.termination import EndReason
 from icub_tasks.grasping.world import GraspWorld
 from icub_testing.tiny.perception import TinyFeatureExtractor

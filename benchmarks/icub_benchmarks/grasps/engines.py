@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_benchmarks.grasps.validate import Outcome, plan_trial, run_trial
+from icub_benchmarks.workers import Workers
 from icub_core.config.assembly import Assembly
 from icub_core.config.compose import compose
 from icub_core.construct import factory
-from icub_core.workers import Workers
 from icub_tasks.grasping.plan import GraspPlan
 from icub_tasks.grasping.task import GraspingTask
 

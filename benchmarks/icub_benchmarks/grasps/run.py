@@ -31,14 +31,15 @@ from rich.progress import Progress, TimeElapsedColumn
 from rich.table import Table
 
 import icub_core as icub
+from icub_benchmarks.figures import Figure, write_results
 from icub_benchmarks.grasps.engines import Pose, PoseResult, execute_poses
 from icub_benchmarks.grasps.validate import Outcome
 from icub_benchmarks.parallel import evaluate_in_workers
 from icub_benchmarks.results import command_line, make_parser, write_figures
+from icub_benchmarks.statistics import merge
 from icub_core.config.assembly import Assembly
 from icub_core.config.compose import compose
-from icub_core.evaluation.results import Figure, write_results
-from icub_core.rollouts import merge, wilson_interval
+from icub_core.rollouts import wilson_interval
 
 FILE = "grasps.json"
 SEVEN = [

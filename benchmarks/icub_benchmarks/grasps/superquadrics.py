@@ -24,9 +24,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.grasps.baselines import Fit, Found, load_ems, scipy_fit
 from icub_benchmarks.results import command_line, make_parser, write_figures
-from icub_core.evaluation.results import Figure
 from icub_core.geometry import FloatArray
 from icub_grasp_generators.superquadrics.fit import fit_superquadric
 from icub_grasp_generators.synthetic_clouds import KINDS, TABLE_TOP, View, matched, single_view

@@ -24,9 +24,9 @@ from rich.console import Console
 from rich.progress import track
 
 import icub_core as icub
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.results import command_line, make_parser, write_figures
 from icub_core.data import PointCloud
-from icub_core.evaluation.results import Figure
 from icub_core.scene import Table
 from icub_grasp_generators.synthetic_clouds import single_view
 from icub_grasp_generators.vgn.hand_search import MAX_JUDGED, around

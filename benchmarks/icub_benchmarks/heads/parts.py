@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from rich.progress import Progress
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.heads.baselines import sklearn_minibootstrap
 from icub_benchmarks.heads.data import LAM, SIGMA, Mixture, Sizes, mean_precision
 from icub_benchmarks.heads.timing import REPETITIONS, best_product_rate, seconds
-from icub_core.evaluation.results import Figure
 from icub_core.interfaces.online_head import OnlineHead
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.minibootstrap import Minibootstrap, one_vs_rest

@@ -28,11 +28,11 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.progress import Progress
 
+from icub_benchmarks.figures import write_results
 from icub_benchmarks.heads.data import QUICK, Sizes
 from icub_benchmarks.heads.parts import limit, minibootstrap, store
 from icub_benchmarks.heads.sweep import sweep, write_report
 from icub_benchmarks.results import command_line, make_parser
-from icub_core.evaluation.results import write_results
 
 PARTS = {"limit": limit, "store": store, "sweep": sweep, "minibootstrap": minibootstrap}
 

@@ -14,10 +14,10 @@ import torch
 from rich.progress import Progress
 from sklearn.svm import SVC
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.heads.baselines import NystroemRidge, falkon_library
 from icub_benchmarks.heads.data import LAM, SIGMA, Mixture, Sizes, mean_precision
 from icub_benchmarks.heads.timing import once, peak_memory, seconds
-from icub_core.evaluation.results import Figure
 from icub_core.files import write_bytes_atomically, write_text_atomically
 from icub_segmenters.heads.falkon import Falkon
 from icub_segmenters.minibootstrap import one_vs_rest

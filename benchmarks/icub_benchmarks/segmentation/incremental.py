@@ -27,17 +27,17 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.results import command_line, make_parser, work_folder, write_figures
 from icub_core.config.assembly import Assembly
 from icub_core.config.compose import compose
 from icub_core.data import Instance, RgbdFrame
-from icub_core.evaluation.detection import DetectionMetrics, evaluate_instances
-from icub_core.evaluation.results import Figure
 from icub_core.files import write_text_atomically
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.scene import ObjectSpec
 from icub_datasets.rendered.objects import CLUTTER, TABLETOP, target_object
 from icub_datasets.rendered.tabletop import RenderedTabletop
+from icub_support.detection import DetectionMetrics, evaluate_instances
 
 NEW = CLUTTER[0]
 COMPANIONS = 4

@@ -27,6 +27,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from icub_benchmarks.figures import Figure
 from icub_benchmarks.results import command_line, make_parser, work_folder, write_figures
 from icub_benchmarks.segmentation.methods import ABLATION, CURVES, FULL, METHODS, O_OS, OURS, OUTPUT_LAYERS, Method
 from icub_benchmarks.segmentation.trial import Trial
@@ -34,9 +35,8 @@ from icub_benchmarks.segmentation.trial_report import HEADINGS, cell, cells, mar
 from icub_benchmarks.segmentation.trials import SHOWING, TASKS, Runs, find_task, run_all
 from icub_core import registry
 from icub_core.errors import ConfigError, unknown_name
-from icub_core.evaluation.detection import MEAN_NAMES
-from icub_core.evaluation.results import Figure
 from icub_core.files import write_text_atomically
+from icub_support.detection import MEAN_NAMES
 
 MAIN_TASK = "tabletop"
 TABLE_WIDTH = 190

@@ -10,9 +10,9 @@ from typing import Any
 from icub_benchmarks.segmentation.voc import RULES, evaluate_voc
 from icub_core.data import Instance
 from icub_core.errors import DataError
-from icub_core.evaluation.detection import DetectionMetrics, evaluate_instances
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter
+from icub_support.detection import DetectionMetrics, evaluate_instances
 
 Progress = Callable[[float, str], None]
 

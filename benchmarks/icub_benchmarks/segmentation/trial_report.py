@@ -9,8 +9,8 @@ from pathlib import Path
 
 from icub_benchmarks.segmentation.trial import Trial
 from icub_benchmarks.segmentation.voc import RULES
-from icub_core.evaluation.detection import MEAN_NAMES
 from icub_core.files import write_bytes_atomically
+from icub_support.detection import MEAN_NAMES
 
 PARTS = ("rpn", "detection", "masks")
 HEADINGS = (

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from icub_core.data import Instance
 from icub_core.errors import ConfigError, unknown_name
-from icub_core.evaluation.detection import IOU_THRESHOLDS, DetectionMetrics, metrics_from_per_class
-from icub_core.evaluation.overlap import box_iou, boxes_of, check_image_lists, mask_iou
+from icub_support.detection import IOU_THRESHOLDS, DetectionMetrics, metrics_from_per_class
+from icub_support.overlap import box_iou, boxes_of, check_image_lists, mask_iou
 
 FloatArray = NDArray[np.float64]
 Rule = Literal["11-point", "area"]
@@ -64,7 +64,7 @@ def evaluate_voc(
 
     Raises:
         ConfigError: Unknown rule.
-        DataError: See `icub_core.evaluation.overlap.check_image_lists`.
+        DataError: See `icub_support.overlap.check_image_lists`.
 
     Source: thesis 10.4.1 and 11.4.1; Everingham et al., The PASCAL Visual Object Classes Challenge, 2010, section 4.2.
     """

@@ -32,7 +32,7 @@ class Simulator(World):
 
     Contract, beside that of `World`:
 
-    - nothing but `load` works before `load`; `load` again replaces the world;
+    - only `load` and `close` work before `load`; `load` again replaces the world;
     - `reset` restores time 0, the home pose at rest, every object at its rest pose on its given place or parked away;
     - two runs with the same calls are identical; `step(n)` advances time by exactly n timesteps;
     - pixel (row, column) looks along ((column - cx) / fx, (row - cy) / fy, 1), cx = (width - 1) / 2: whole numbers are
@@ -115,8 +115,8 @@ class Simulator(World):
             width: Pixels.
             height: Pixels.
             look_at: (3,) world point; the camera keeps its place but turns to it (the thesis's tracking camera).
-            segmentation: Also say which object each pixel shows.
-            shadows: Prettier and about ten times slower.
+            segmentation: Also return which object each pixel shows.
+            shadows: Draw shadows and smooth edges, which takes about ten times as long.
         """
 
     @abstractmethod

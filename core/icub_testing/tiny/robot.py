@@ -124,7 +124,7 @@ def _actuators() -> tuple[Actuator, ...]:
 
 @functools.cache
 def _urdf_file() -> Path:
-    """Write the robot's file once a process; loaders need one on disk."""
+    """Write the robot's file once per process; loaders need one on disk."""
     path = Path(_folder().name) / "tiny.urdf"
     write_text_atomically(path, _urdf())
     return path

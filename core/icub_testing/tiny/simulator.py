@@ -14,7 +14,7 @@ from icub_core.scene import CameraView, Scene
 from icub_testing.tiny.robot import LINKS, TinyRobot
 
 TIME_CONSTANT = 0.05
-"""Seconds in which a joint comes e times nearer to its target."""
+"""Time constant of a joint's approach to its target, seconds."""
 PARKING = 50.0
 """Meters below the floor where parked objects wait."""
 SKY = np.array([200, 220, 240], dtype=np.uint8)
@@ -36,7 +36,7 @@ class TinySimulator(Simulator):
         self._scene, self._robot = scene, robot
         self._n = len(robot.joint_names) if robot is not None else 0
         self._A, self._b = robot.actuator_matrix() if robot is not None else (np.zeros((0, 0)), np.zeros(0))
-        # the least change of the joints that gives the wanted lengths
+        # smallest change of the joints that gives the wanted lengths
         self._pull = np.linalg.pinv(self._A) if robot is not None else np.zeros((0, 0))
         self.reset()
 
@@ -99,7 +99,7 @@ class TinySimulator(Simulator):
         return RobotState(self._q.copy(), self._dq.copy(), self._A @ self._q + self._b, self.fingertip_contacts())
 
     def fingertip_contacts(self, hand: str | None = None) -> NDArray[np.bool_]:
-        """A fingertip touches what its middle lies in."""
+        """Return which fingertips have their middle in an object."""
         self._require_world()
         if self._robot is None:
             return np.zeros(0, dtype=np.bool_)
@@ -144,7 +144,7 @@ class TinySimulator(Simulator):
         segmentation: bool = False,
         shadows: bool = False,
     ) -> Rendering:
-        """Cast a ray a pixel at the floor, the table and the objects; the robot is not drawn."""
+        """Cast one ray per pixel at the floor, the table and the objects; the robot is not drawn."""
         T_world_camera, fovy = self._camera(camera, look_at)
         K = pinhole(width, height, fovy)
         columns, rows = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
@@ -184,7 +184,7 @@ class TinySimulator(Simulator):
         return (Fault.NOT_A_NUMBER,) if self._faulty else ()
 
     def close(self) -> None:
-        """Nothing to free."""
+        """Do nothing: this world holds no engine."""
 
     def _require_world(self) -> None:
         _ = self.scene

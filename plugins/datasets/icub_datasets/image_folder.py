@@ -52,11 +52,9 @@ class ImageFolder(FileDataset[_Item]):
         if not by_name:
             raise DataError(f"{path / 'images'} holds no images; expected png, jpg, bmp, tif or webp files")
         all_items = {name: _Item(image, _masks_of(path / "masks" / name)) for name, image in by_name.items()}
-        distractors = sorted({p.name for p in (path / "masks").iterdir() if p.is_dir()} - set(by_name))
-        if distractors:
-            raise DataError(
-                f"{path / 'masks' / distractors[0]} belongs to no image; expected images/{distractors[0]}.*"
-            )
+        orphans = sorted({p.name for p in (path / "masks").iterdir() if p.is_dir()} - set(by_name))
+        if orphans:
+            raise DataError(f"{path / 'masks' / orphans[0]} belongs to no image; expected images/{orphans[0]}.*")
         # classes come from all images, so that every split of a folder has the same
         classes = sorted({label for item in all_items.values() for label, _ in item.masks})
         if not classes:

@@ -7,11 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.appearance import random_lights, random_surface
 from icub_core.construct import build
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import DataError
-from icub_core.evaluation.detection import evaluate_instances
 from icub_core.interfaces.object_set import ObjectSet
 from icub_core.interfaces.segmenter import Segmenter
 from icub_core.interfaces.simulator import Simulator
@@ -23,6 +21,8 @@ from icub_pipelines.settings import SeeSettings
 from icub_pipelines.stream import StreamTeacher
 from icub_pipelines.tabletop import Tabletop, tabletop_pictures
 from icub_pipelines.teacher import Showing, annotate, show
+from icub_support.appearance import random_lights, random_surface
+from icub_support.detection import evaluate_instances
 
 SHEET_COLUMNS = 4
 DISTRACTOR_SIZE = (0.08, 0.2)

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.appearance import random_lights, random_surface
 from icub_core.data import Instance, RgbdFrame
 from icub_core.geometry import look_at, make_transform, quat_wxyz_to_matrix, rotation_about
 from icub_core.interfaces.simulator import Rendering, Simulator
 from icub_core.scene import CameraView, ObjectSpec, Scene, Table
+from icub_support.appearance import random_lights, random_surface
 
 FRAMES_PER_ROOM = 5
 """Images taken before table, floor and lamps change."""

@@ -11,7 +11,6 @@ import numpy as np
 from icub_core.bounds import at_least
 from icub_core.data import Instance
 from icub_core.errors import ConfigError
-from icub_core.evaluation.detection import evaluate_instances
 from icub_core.interfaces.pipeline import Pipeline, Stage
 from icub_core.renames import renamed
 from icub_core.run import Run
@@ -22,6 +21,7 @@ from icub_pipelines.images import draw_instances
 from icub_pipelines.settings import SeeSettings, taught_names
 from icub_pipelines.tabletop import Tabletop
 from icub_pipelines.teaching_session import Look, Mistake, TeachingSession, mistakes, recognized
+from icub_support.detection import evaluate_instances
 
 TAUGHT = 3
 """Objects that are taught when nothing was chosen."""

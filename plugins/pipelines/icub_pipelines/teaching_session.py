@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from icub_core.data import Instance, RgbdFrame
-from icub_core.evaluation.overlap import mask_iou
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 from icub_core.interfaces.simulator import Simulator
 from icub_core.robot_description import RobotDescription
@@ -19,6 +18,7 @@ from icub_core.scene import ObjectSpec
 from icub_pipelines import seeing
 from icub_pipelines.images import Image
 from icub_pipelines.tabletop import Tabletop, tabletop_pictures
+from icub_support.overlap import mask_iou
 
 SAME_OBJECT_IOU = 0.5
 """A found mask that overlaps a true one by less is not about that object (the metric's lower threshold)."""

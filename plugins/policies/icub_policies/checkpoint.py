@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from icub_core import weights
+from icub_support import weights
 
 HEADER = "icub"
 

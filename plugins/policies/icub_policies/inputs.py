@@ -21,7 +21,7 @@ NEEDED = (HAND_POSE, FINGERS, TOUCH, OBJECT_CENTER)
 LENGTH = 0.1
 """Meters that become 1."""
 STACK = 5
-"""Vectors that `icub_core.flare.flare` makes of three images."""
+"""Vectors that `icub_support.flare.flare` makes of three images."""
 
 
 @dataclass(frozen=True)

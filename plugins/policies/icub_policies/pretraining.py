@@ -9,9 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from icub_core.api import make_env
-from icub_core.evaluation.results import machine, versions
 from icub_core.files import write_text_atomically
 from icub_core.interfaces.policy import Progress
+from icub_core.provenance import machine, versions
 from icub_policies.gpayn import Gpayn
 
 OBJECTS = 32

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import torch
 
-from icub_core.flare import HISTORY, flare
 from icub_policies.inputs import STACK
+from icub_support.flare import HISTORY, flare
 
 RUNNING, TERMINAL, CUT = 0, 1, 2
 """How a stored step went on: normally; into a terminal state; or not to be learned from (a truncation or a fault), then

@@ -13,7 +13,6 @@ from icub_core.bounds import above, at_least
 from icub_core.errors import CheckpointError
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
 from icub_core.interfaces.task import Task
-from icub_core.weights import fill, part
 from icub_policies.checkpoint import read_tensors, write_tensors
 from icub_policies.gpayn import actions_of, weights_path
 from icub_policies.inputs import Inputs
@@ -21,6 +20,7 @@ from icub_policies.learner import REPLAY_STEPS, for_weights, memory, seeing, sta
 from icub_policies.networks import Actor
 from icub_policies.sac import Sac, SacSettings
 from icub_policies.training import Trainer, TrainingSettings
+from icub_support.weights import fill, part
 
 ENTROPY_COEFFICIENT = 0.01
 """Where the coefficient starts, in units of the task's reward (thesis table 13.1)."""

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import torch
 
-from icub_core.weights import adam_state, fill, load_adam_state, part, with_prefix
 from icub_policies.networks import Actor, Critics
 from icub_policies.replay import Batch
+from icub_support.weights import adam_state, fill, load_adam_state, part, with_prefix
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ from icub_core.interfaces.abilities import HasWeights
 from icub_core.interfaces.policy import LearnReport, Policy, Progress
 from icub_core.interfaces.task import Start, Task
 from icub_core.rollouts import run_episodes
-from icub_core.weights import part
 from icub_policies.checkpoint import read_tensors, write_tensors
 from icub_policies.inputs import Inputs
 from icub_policies.replay import CUT, RUNNING, TERMINAL, Batch, Replay, concatenate
 from icub_policies.sac import Sac
+from icub_support.weights import part
 
 log = logging.getLogger(__name__)
 

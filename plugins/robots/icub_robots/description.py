@@ -7,7 +7,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from icub_core.cache import cached_text
 from icub_core.errors import ConfigError, unknown_name
 from icub_core.geometry import make_transform, rotation_about
 from icub_core.robot_description import Actuator, ContactMaterial, Grip, HandDescription, RobotDescription
@@ -16,6 +15,7 @@ from icub_robots.hand_meshes import hand_shapes
 from icub_robots.hand_table import SIDES, Hand, Side, load_hand
 from icub_robots.models import BODY_MODEL, MODELS, Model
 from icub_robots.urdf import assemble, joint_limits, root_transform
+from icub_support.cache import cached_text
 
 Coupling = Literal["tendon", "equal_split"]
 WORKSPACE = np.array([[-0.65, -0.45, 0.93], [0.0, 0.55, 1.60]])

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from icub_core.cache import cached_file, content_key
 from icub_core.errors import DataError
 from icub_robots.models import HAND_MODEL, model_file, resolve_mesh
+from icub_support.cache import cached_file, content_key
 
 logger = logging.getLogger(__name__)
 

@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from icub_core.evaluation.overlap import box_iou, paired_box_iou
+from icub_support.overlap import box_iou, paired_box_iou
 
 MAX_LOG_GROWTH = math.log(1000.0 / 16.0)
 """Refinement may not grow a side by more: the released detector has no such guard and its exponential can overflow."""

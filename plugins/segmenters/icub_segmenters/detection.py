@@ -10,7 +10,6 @@ from torchvision.ops import batched_nms
 from icub_core.errors import CheckpointError, NotFittedError
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.online_head import OnlineHead
-from icub_core.weights import part, with_prefix
 from icub_segmenters.boxes import decode, encode, iou, paired_iou
 from icub_segmenters.heads.rls import Rls
 from icub_segmenters.incremental import Addition, add_class, add_together
@@ -19,6 +18,7 @@ from icub_segmenters.normalization import Normalization
 from icub_segmenters.procedure import STANDARD
 from icub_segmenters.region_store import RegionStore
 from icub_segmenters.sampling import class_negatives, later_negatives, sample_per_group, shared_negatives
+from icub_support.weights import part, with_prefix
 
 NMS_IOU = 0.3
 MAX_OF_A_CLASS = 20

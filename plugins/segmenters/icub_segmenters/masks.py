@@ -9,12 +9,12 @@ from icub_core.errors import CheckpointError, DataError, NotFittedError
 from icub_core.interfaces.abilities import SharesKernel
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.online_head import OnlineHead, probabilities
-from icub_core.weights import part, with_prefix
 from icub_segmenters.mask_geometry import crop_masks
 from icub_segmenters.minibootstrap import MakeHead
 from icub_segmenters.normalization import Normalization
 from icub_segmenters.procedure import STANDARD
 from icub_segmenters.sampling import sample
+from icub_support.weights import part, with_prefix
 
 MAX_PIXELS = 8_000
 """Pixels a class is trained on at most, half of them the object's; more add time but no accuracy."""

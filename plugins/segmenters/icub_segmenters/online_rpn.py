@@ -16,12 +16,12 @@ from icub_core.errors import CheckpointError, DataError, NotFittedError
 from icub_core.interfaces.abilities import ProposesCells
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures, RpnCells
 from icub_core.interfaces.online_head import OnlineHead
-from icub_core.weights import part, with_prefix
 from icub_segmenters.boxes import clip, decode, encode
 from icub_segmenters.heads.rls import Rls
 from icub_segmenters.minibootstrap import MakeHead, Minibootstrap
 from icub_segmenters.normalization import Normalization
 from icub_segmenters.sampling import sample_per_group
+from icub_support.weights import part, with_prefix
 
 BEFORE_NMS, NMS_IOU = 1000, 0.7
 NO_CLASSIFIER = float("-inf")

@@ -16,7 +16,6 @@ from icub_core.interfaces.abilities import HasMaskBranch, ProposesCells, SharesK
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.online_head import OnlineHead
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
-from icub_core.weights import entry, part, read_tensors, with_prefix, write_tensors
 from icub_segmenters.detection import Detections, OnlineDetector
 from icub_segmenters.faithful_rpn import FaithfulRpn
 from icub_segmenters.mask_geometry import boxes_of_masks, paste_masks
@@ -27,6 +26,7 @@ from icub_segmenters.online_rpn import OnlineRpn, with_proposals
 from icub_segmenters.procedure import STANDARD, Procedure
 from icub_segmenters.region_store import RegionStore
 from icub_segmenters.shared_rpn import SharedRpn
+from icub_support.weights import entry, part, read_tensors, with_prefix, write_tensors
 
 MODES = ("shared", "faithful")
 PROPOSALS = ("pretrained", "online")

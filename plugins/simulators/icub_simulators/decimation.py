@@ -14,8 +14,8 @@ _FLATNESS = 1e-2
 """Singular values of a cell's quadric below this share of the largest are taken for a plane or an edge."""
 
 
-def decimate(vertices: FloatArray, faces: IntArray, most_faces: int) -> tuple[FloatArray, IntArray]:
-    """Return a mesh of at most about `most_faces` triangles near the surface of the given one.
+def decimate(vertices: FloatArray, faces: IntArray, max_faces: int) -> tuple[FloatArray, IntArray]:
+    """Return a mesh of at most about `max_faces` triangles near the surface of the given one.
 
     Vertices that fall into one cell of a cubic grid become one vertex, put where the sum of squared distances to the
     planes of the cell's triangles is least. The grid is the finest that keeps to the limit.
@@ -23,7 +23,7 @@ def decimate(vertices: FloatArray, faces: IntArray, most_faces: int) -> tuple[Fl
     Args:
         vertices: (V, 3).
         faces: (F, 3).
-        most_faces: Limit; a mesh below it is returned as it is, with equal vertices merged.
+        max_faces: Limit; a mesh below it is returned as it is, with equal vertices merged.
 
     Returns:
         Vertices (V', 3) and faces (F', 3).
@@ -32,12 +32,12 @@ def decimate(vertices: FloatArray, faces: IntArray, most_faces: int) -> tuple[Fl
     """
     vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
     faces = _proper(inverse.reshape(-1)[faces])
-    if len(faces) <= most_faces:
+    if len(faces) <= max_faces:
         return vertices, faces
     low, high = _COARSEST, _FINEST
     while low < high:  # the finest grid within the limit
         cells = (low + high + 1) // 2
-        if len(_proper(_cells(vertices, cells)[faces])) <= most_faces:
+        if len(_proper(_cells(vertices, cells)[faces])) <= max_faces:
             low = cells
         else:
             high = cells - 1
@@ -64,7 +64,7 @@ def _proper(faces: IntArray) -> IntArray:
 
 
 def _representatives(vertices: FloatArray, faces: IntArray, cell: IntArray) -> FloatArray:
-    """Place one vertex a cell."""
+    """Return the position of one vertex per cell."""
     count = int(cell.max()) + 1
     members = np.bincount(cell, minlength=count).astype(np.float64)
     mean = np.stack([np.bincount(cell, vertices[:, i], count) for i in range(3)], axis=1) / members[:, None]

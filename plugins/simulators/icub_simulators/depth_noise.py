@@ -34,11 +34,11 @@ class DepthNoise:
         """Begin the random numbers again."""
         self._rng = np.random.default_rng(0)
 
-    def apply(self, picture: Rendering) -> Rendering:
+    def apply(self, rendering: Rendering) -> Rendering:
         """Return the image with measured instead of true depth."""
-        frame = picture.frame
+        frame = rendering.frame
         depth = stereo_depth(frame.depth, float(frame.intrinsics[0, 0]), self._rng)
-        return Rendering(replace(frame, depth=depth), picture.segmentation)
+        return Rendering(replace(frame, depth=depth), rendering.segmentation)
 
 
 def stereo_depth(depth: NDArray[np.float32], focal: float, rng: np.random.Generator) -> NDArray[np.float32]:

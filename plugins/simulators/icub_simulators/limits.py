@@ -1,4 +1,4 @@
-"""Speeds beyond which nothing physical moves; what does has exploded."""
+"""Speeds above which a simulation counts as exploded."""
 
 FASTEST_JOINT = 200.0
 """rad/s; the fastest finger moves at about 10."""

@@ -1,4 +1,4 @@
-"""Light versions of the body's meshes: software rendering pays for every face."""
+"""Meshes of the body with few faces, since the time of software rendering grows with their number."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from icub_core.cache import cached_file, content_key
 from icub_core.errors import DataError, SimulationError
 from icub_simulators.decimation import decimate
 from icub_simulators.objects.meshes import read_mesh
+from icub_support.cache import cached_file, content_key
 
 logger = logging.getLogger(__name__)
 
 FACES = 400
-"""Triangles a link: the whole body in about 14,000, visibly faceted in close-ups, clearly the robot at 160 x 120."""
+"""Triangles per link. The whole body has about 14,000: faceted in close-ups, clearly the robot at 160 x 120 pixels."""
 
 
 def decimated(path: Path) -> Path:

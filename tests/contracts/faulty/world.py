@@ -223,32 +223,32 @@ class ForgetsTargets(TinySimulator):
         self._targets = self._A @ self._q + self._b
 
 
-@breaks("simulator", "check_picture")
+@breaks("simulator", "check_rendering")
 class DepthAlongTheRay(TinySimulator):
     def render(self, camera, width=320, height=240, **options):
-        picture = super().render(camera, width, height, **options)
-        K = picture.frame.intrinsics
+        rendering = super().render(camera, width, height, **options)
+        K = rendering.frame.intrinsics
         columns, rows = np.meshgrid(np.arange(width), np.arange(height))
         length = np.sqrt(1 + ((columns - K[0, 2]) / K[0, 0]) ** 2 + ((rows - K[1, 2]) / K[1, 1]) ** 2)
-        depth = (picture.frame.depth * length * 1.02).astype(np.float32)
-        return replace(picture, frame=replace(picture.frame, depth=depth))
+        depth = (rendering.frame.depth * length * 1.02).astype(np.float32)
+        return replace(rendering, frame=replace(rendering.frame, depth=depth))
 
 
 @breaks("simulator", "check_pixels")
 class PixelCornersAreWholeNumbers(TinySimulator):
     def render(self, camera, width=320, height=240, **options):
-        picture = super().render(camera, width, height, **options)
-        K = picture.frame.intrinsics.copy()
+        rendering = super().render(camera, width, height, **options)
+        K = rendering.frame.intrinsics.copy()
         K[:2, 2] = width / 2, height / 2
-        return replace(picture, frame=replace(picture.frame, intrinsics=K))
+        return replace(rendering, frame=replace(rendering.frame, intrinsics=K))
 
 
 @breaks("simulator", "check_background")
 class SkyIsFarAway(TinySimulator):
     def render(self, camera, width=320, height=240, **options):
-        picture = super().render(camera, width, height, **options)
-        depth = np.where(picture.frame.depth == 0, np.float32(100.0), picture.frame.depth)
-        return replace(picture, frame=replace(picture.frame, depth=depth))
+        rendering = super().render(camera, width, height, **options)
+        depth = np.where(rendering.frame.depth == 0, np.float32(100.0), rendering.frame.depth)
+        return replace(rendering, frame=replace(rendering.frame, depth=depth))
 
 
 @breaks("simulator", "check_segmentation")

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import SimulationError
-from icub_core.gl import prepare
 from icub_datasets.feature_task.objects import TaskObject, feature_task_objects, read_obj
 from icub_datasets.feature_task.textures import background_texture, product_texture
+from icub_support.gl import prepare
 
 HEIGHT, WIDTH = 240, 320
 BACKGROUNDS = 48

@@ -7,8 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core import appearance
-from icub_core.appearance import random_lights, random_surface
 from icub_core.geometry import look_at, make_transform, rotation_about
 from icub_core.interfaces.simulator import Rendering, Simulator
 from icub_core.scene import CameraView, Geom, ObjectSpec, Scene, Table
@@ -17,6 +15,8 @@ from icub_datasets.rendered.base import RenderedDataset
 from icub_datasets.rendered.hand import Grip, grips_of, hand_around
 from icub_datasets.rendered.objects import CLUTTER, HANDHELD, target_object
 from icub_datasets.rendered.tabletop import arrange
+from icub_support import appearance
+from icub_support.appearance import random_lights, random_surface
 
 GRIP_FRAMES = 8
 """Frames until the teacher takes the object another way, so that all its sides come into view."""

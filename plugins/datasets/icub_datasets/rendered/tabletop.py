@@ -7,14 +7,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core import appearance
-from icub_core.appearance import random_lights, random_surface
 from icub_core.geometry import look_at, make_transform, quat_wxyz_to_matrix, rotation_about
 from icub_core.interfaces.simulator import Rendering, Simulator
 from icub_core.scene import CameraView, ObjectSpec, Scene, Table
 from icub_datasets.rendered import objects
 from icub_datasets.rendered.base import RenderedDataset
 from icub_datasets.rendered.objects import TABLETOP, target_object
+from icub_support import appearance
+from icub_support.appearance import random_lights, random_surface
 
 SEQUENCE_FRAMES = 12
 OBJECTS = (4, 8)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.geometry import FloatArray, rotation_about, spread_rotations
+from icub_core.geometry import FloatArray, rotation_about
 from icub_grasp_generators.clouds import check_cloud, covariance, thin, trimmed_extents
 from icub_grasp_generators.superquadrics.residuals import Solids
+from icub_support.rotations import spread_rotations
 
 FIT_POINTS = 500
 _TRIM = 0.06  # share cut off at both ends of an extent: outliers must not span the box

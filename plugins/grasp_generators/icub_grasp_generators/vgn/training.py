@@ -20,8 +20,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from icub_core.evaluation.results import machine, versions
 from icub_core.files import write_text_atomically
+from icub_core.provenance import machine, versions
 from icub_grasp_generators.vgn.checkpoints import restored_steps
 from icub_grasp_generators.vgn.generation import Trials, generate
 from icub_grasp_generators.vgn.gripper_trials import GripperTrials

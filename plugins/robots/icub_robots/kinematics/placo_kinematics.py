@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 import placo
 
-from icub_core.cache import cached_text
 from icub_core.errors import ConfigError
 from icub_core.geometry import FloatArray
 from icub_core.interfaces.robot import IkSolution
@@ -19,6 +18,7 @@ from icub_robots.cables import CABLE_MATRIX, CABLE_OFFSET, shoulder
 from icub_robots.kinematics.base import IkRequest, Kinematics
 from icub_robots.kinematics.model import PinocchioModel
 from icub_robots.kinematics.settings import AT_LIMIT, CONVERGED, MIN_PROGRESS
+from icub_support.cache import cached_text
 
 POSTURE_WEIGHT = 1e-6  # of staying near the start, against 1 of the pose; 1e-4 loses a tenth of the targets
 REGULARIZATION = 1e-4  # of the step

@@ -16,7 +16,6 @@ from torch import nn
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import CheckpointError, ConfigError, NotFittedError, WeightsError
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
-from icub_core.weights import entry, read_tensors, write_tensors
 from icub_segmenters.feature_extractors.compact_regions import (
     CENTER,
     SCALE,
@@ -30,6 +29,7 @@ from icub_segmenters.feature_extractors.region_network import RegionExtractor
 from icub_segmenters.feature_extractors.weights import weights_file
 from icub_segmenters.frame_store import FrameStore
 from icub_segmenters.mask_geometry import boxes_of_masks
+from icub_support.weights import entry, read_tensors, write_tensors
 
 FILE = "mask_rcnn.safetensors"
 BATCH = 4

@@ -14,15 +14,15 @@ from torchvision.ops import batched_nms
 
 from icub_core.data import Instance, RgbdFrame
 from icub_core.errors import CheckpointError, ConfigError, DataError, NotFittedError
-from icub_core.evaluation.overlap import boxes_of
 from icub_core.interfaces.feature_extractor import FeatureExtractor, ImageFeatures
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
-from icub_core.weights import entry, fill, read_tensors, write_tensors
 from icub_segmenters.boxes import decode, encode
 from icub_segmenters.frame_store import FrameStore
 from icub_segmenters.mask_geometry import boxes_of_masks, crop_masks, paste_masks
 from icub_segmenters.regions import assign
 from icub_segmenters.sampling import sample
+from icub_support.overlap import boxes_of
+from icub_support.weights import entry, fill, read_tensors, write_tensors
 
 FILE = "output_layers.safetensors"
 REGIONS, POSITIVE_SHARE = 64, 0.25

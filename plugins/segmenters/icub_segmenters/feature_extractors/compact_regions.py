@@ -15,11 +15,11 @@ from torchvision.ops import clip_boxes_to_image, roi_align
 
 from icub_core.errors import WeightsError
 from icub_core.interfaces.feature_extractor import RpnCells
-from icub_core.weights import fill
 from icub_segmenters.feature_extractors.network import BOX_DIM, FPN_CHANNELS, LEVELS, MASK_DIM, WIDTHS, CompactNetwork
 from icub_segmenters.feature_extractors.network import MASK_SIZE as NETWORK_MASK_SIZE
 from icub_segmenters.feature_extractors.region_network import RegionNetwork
 from icub_segmenters.feature_extractors.weights import read_safetensors
+from icub_support.weights import fill
 
 LOW_GRID, COLOR_GRID = 2, 4
 # fc6, fc7, pooled FPN, pooled stride-4 map, pooled colors; blocks of equal norm

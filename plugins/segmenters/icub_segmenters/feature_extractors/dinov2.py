@@ -16,12 +16,12 @@ from torchvision.ops import roi_align
 
 from icub_core.errors import WeightsError
 from icub_core.interfaces.feature_extractor import RpnCells
-from icub_core.weights import fill
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
 from icub_segmenters.feature_extractors.region_network import RegionExtractor, RegionNetwork, check_sizes
 from icub_segmenters.feature_extractors.resnet import TORCHVISION, freeze, preprocess
 from icub_segmenters.feature_extractors.vision_transformer import HEAD_DIM, PATCH, VisionTransformer
 from icub_segmenters.feature_extractors.weights import read_any
+from icub_support.weights import fill
 
 GRID = 2  # a region is described by the mean features of its four quarters
 MASK_SIDE = 14

@@ -13,12 +13,12 @@ from torchvision.ops import batched_nms
 
 from icub_core.data import Instance
 from icub_core.errors import ConfigError
-from icub_core.evaluation.detection import evaluate_instances
-from icub_core.evaluation.proposals import average_recall, best_overlaps, recall
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.feature_extractor import FeatureExtractor
 from icub_segmenters.feature_extractors.compact_regions import CompactRegions
+from icub_segmenters.feature_extractors.proposals import average_recall, best_overlaps, recall
 from icub_segmenters.feature_extractors.region_network import RegionExtractor
+from icub_support.detection import evaluate_instances
 
 SCORE_THRESHOLD, NMS_IOU, MAX_DETECTIONS = 0.05, 0.5, 50
 

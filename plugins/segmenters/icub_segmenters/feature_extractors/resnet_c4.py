@@ -20,7 +20,6 @@ from torchvision.ops import clip_boxes_to_image, nms, roi_align
 
 from icub_core.errors import WeightsError
 from icub_core.interfaces.feature_extractor import RpnCells
-from icub_core.weights import fill
 from icub_segmenters.feature_extractors.region_network import RegionExtractor, RegionNetwork, check_sizes
 from icub_segmenters.feature_extractors.resnet import (
     DETECTRON,
@@ -33,6 +32,7 @@ from icub_segmenters.feature_extractors.resnet import (
     without_configuration,
 )
 from icub_segmenters.feature_extractors.weights import read_any
+from icub_support.weights import fill
 
 STRIDE = 16
 ANCHOR_SIZES, ASPECT_RATIOS = (32, 64, 128, 256, 512), (0.5, 1.0, 2.0)

@@ -18,7 +18,6 @@ from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 
 from icub_core.errors import WeightsError
 from icub_core.interfaces.feature_extractor import RpnCells
-from icub_core.weights import fill
 from icub_segmenters.feature_extractors.region_network import RegionExtractor, RegionNetwork, check_sizes
 from icub_segmenters.feature_extractors.resnet import (
     DETECTRON,
@@ -33,6 +32,7 @@ from icub_segmenters.feature_extractors.resnet import (
     without_configuration,
 )
 from icub_segmenters.feature_extractors.weights import read_any
+from icub_support.weights import fill
 
 TORCHVISION_FILE = "maskrcnn_resnet50_fpn_coco-bf2d0c1e.pth"
 SHORTER, LONGEST = 800, 1333

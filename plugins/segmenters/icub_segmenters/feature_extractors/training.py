@@ -28,15 +28,15 @@ from numpy.typing import NDArray
 from torch import nn
 
 from icub_core.errors import CheckpointError
-from icub_core.evaluation.results import machine, versions
 from icub_core.files import write_text_atomically
+from icub_core.provenance import machine, versions
 from icub_core.registry import load
-from icub_core.weights import adam_state, load_adam_state, part, read_tensors, with_prefix, write_card, write_tensors
 from icub_segmenters.feature_extractors.compact import CompactMaskRcnn
 from icub_segmenters.feature_extractors.compact_regions import CENTER, SCALE, calibrate
 from icub_segmenters.feature_extractors.evaluation import feature_task_precision, proposal_recall
 from icub_segmenters.feature_extractors.network import CompactNetwork
 from icub_segmenters.mask_geometry import boxes_of_masks
+from icub_support.weights import adam_state, load_adam_state, part, read_tensors, with_prefix, write_card, write_tensors
 
 log = logging.getLogger(__name__)
 

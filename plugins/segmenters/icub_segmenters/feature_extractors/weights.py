@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from icub_core.errors import WeightsError
-from icub_core.weights import read_tensors
+from icub_support.weights import read_tensors
 
 SHIPPED = Path(__file__).resolve().parent.parent / "weights"
 

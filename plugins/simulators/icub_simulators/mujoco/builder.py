@@ -16,7 +16,7 @@ from icub_simulators.mujoco.collision import FLOOR, OBJECT, OBJECT_MEETS, TABLE
 from icub_simulators.mujoco.robot_spec import HIDDEN_GROUP, robot_spec
 
 OBJECT_PREFIX = "object/"
-"""Bodies of objects are named so, lest one is called like a link."""
+"""Prefix of the bodies of objects, which keeps their names apart from those of links."""
 TABLE_BODY = "furniture/table"
 _LEG = f"{TABLE_BODY}/leg"
 FLOOR_GEOM = "furniture/floor"

@@ -65,13 +65,13 @@ class Index:
 
 
 def build_index(model: mujoco.MjModel, frames: LinkFrames, robot: RobotDescription | None, scene: Scene) -> Index:
-    """Look everything up."""
+    """Find the addresses of joints, actuators, links, objects and fingertips in a compiled model."""
     joints = robot.joint_names if robot is not None else ()
-    distractors = (TABLE_BODY, *(OBJECT_PREFIX + item.name for item in scene.objects))
+    others = (TABLE_BODY, *(OBJECT_PREFIX + item.name for item in scene.objects))
     links = {
         link: LinkSlot(int(model.body(body).id), offset)
         for link, (body, offset) in frames.items()
-        if link not in distractors
+        if link not in others
     }
     limits = np.full(model.nv, FASTEST_JOINT)
     objects = {}

@@ -32,14 +32,15 @@ _RESET_WARNINGS = [int(w) for w in (_WARNING.mjWARN_BADQPOS, _WARNING.mjWARN_BAD
 _CONTROL_WARNING = int(_WARNING.mjWARN_BADCTRL)
 _FULL_WARNINGS = [int(w) for w in (_WARNING.mjWARN_CONTACTFULL, _WARNING.mjWARN_CNSTRFULL)]
 _Places = tuple[FloatArray, FloatArray, FloatArray | None, list[int], int, FloatArray]
-"""Views of a body's rotation and position, T_body_link, `_contact_codes` and fingertips of a hand, view of an object's position."""
+"""Rotation and position of a body (views), T_body_link, contact codes and fingertip count of a hand, position of an object
+(view)."""
 _OBJECT, _OTHER = 100, 300
 """Fingertips are 0, 1, ...: fingertip + object from 100 on, two objects 200, anything else 300 and more."""
 
 
 @functools.cache
 def _touches(bits: int, count: int) -> NDArray[np.bool_]:
-    """Return the fingertips (count,) in contact of a number with one bit for each; not to be written to."""
+    """Return the fingertips (count,) in contact of a number with one bit for each, as a shared, read-only array."""
     return np.array([bool(bits >> finger & 1) for finger in range(count)], dtype=np.bool_)
 
 
@@ -154,7 +155,7 @@ class Physics:
         targets = np.asarray(targets, dtype=np.float64)
         if targets.shape != self._ctrl.shape:
             raise SimulationError(
-                f"command has shape {targets.shape}; expected {self._ctrl.shape}, one length an actuator"
+                f"command has shape {targets.shape}; expected {self._ctrl.shape}, one length per actuator"
             )
         # a sum is finite only if every command is; faster than isfinite().all()
         if not math.isfinite(self._ones.dot(targets)):
@@ -309,7 +310,7 @@ class Physics:
                 self._seen.add(Fault.NOT_A_NUMBER)
             if warnings[_FULL_WARNINGS].any():
                 self._seen.add(Fault.DROPPED_CONTACTS)
-        # cheap test first, which a NaN fails: what moves slower than the least limit altogether is slow enough
+        # cheap test first, which a NaN fails: below the smallest limit as a whole, every speed is below its own
         if not self._qvel.dot(self._qvel) <= self._slow and not np.all(
             np.abs(self._qvel) <= self.index.velocity_limits
         ):

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from icub_core.data import RgbdFrame
 from icub_core.errors import SimulationError
 from icub_core.geometry import FloatArray, pinhole
-from icub_core.gl import make_context
 from icub_core.interfaces.simulator import Rendering
 from icub_core.robot_description import RobotDescription
 from icub_core.scene import CameraView, Light, Material, Scene, Table
@@ -28,6 +27,7 @@ from icub_simulators.mujoco.looks import (
     set_surface,
     set_texture,
 )
+from icub_support.gl import make_context
 
 _Frustum = tuple[FloatArray, FloatArray]
 
@@ -154,7 +154,7 @@ class Renderer:
         )
 
     def _behind_top(self, eye: FloatArray, table: Table) -> NDArray[np.bool_]:
-        """Say which legs (L,) the table's top hides from an eye (3,) above it: those whose feet it hides."""
+        """Return which legs (L,) the table's top hides from an eye (3,) above it: those whose feet it hides."""
         height = eye[2] - table.top
         if height <= 0:
             return np.zeros(len(self._legs), dtype=np.bool_)

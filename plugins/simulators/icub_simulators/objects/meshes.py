@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.cache import Arrays, cached_arrays, cached_text, content_key
 from icub_core.errors import DataError
 from icub_core.geometry import quat_wxyz_to_matrix
 from icub_core.scene import Geom, Material, ObjectSpec, RestPose, Vec3
 from icub_simulators.objects.solids import center_of_mass, hull_volume, oriented_hull, rest_pose
+from icub_support.cache import Arrays, cached_arrays, cached_text, content_key
 
 logger = logging.getLogger(__name__)
 

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.cache import Arrays, cached_arrays, content_key
 from icub_core.errors import ConfigError, DataError, unknown_name
 from icub_core.geometry import quat_wxyz_to_matrix
 from icub_core.interfaces.object_set import ObjectSet
@@ -25,6 +24,7 @@ from icub_simulators.objects.solids import (
     stable_poses,
 )
 from icub_simulators.objects.textures import PATTERNS, print_texture, random_ink
+from icub_support.cache import Arrays, cached_arrays, content_key
 
 logger = logging.getLogger(__name__)
 

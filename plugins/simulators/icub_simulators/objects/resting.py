@@ -13,11 +13,12 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
-from icub_core.cache import Arrays, cached_arrays, content_key
 from icub_core.errors import DataError
-from icub_core.geometry import FloatArray, matrix_to_quat_wxyz, quat_wxyz_to_matrix, spread_rotations
+from icub_core.geometry import FloatArray, matrix_to_quat_wxyz, quat_wxyz_to_matrix
 from icub_core.scene import RestPose
 from icub_simulators.objects.solids import center_of_mass, hull_volume, stable_poses
+from icub_support.cache import Arrays, cached_arrays, content_key
+from icub_support.rotations import spread_rotations
 
 logger = logging.getLogger(__name__)
 

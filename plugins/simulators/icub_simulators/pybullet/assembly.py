@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from icub_core.cache import cached_file, cached_text
 from icub_core.errors import SimulationError
 from icub_core.geometry import FloatArray, matrix_to_quat_wxyz, quat_wxyz_to_matrix
 from icub_core.robot_description import ContactMaterial, RobotDescription
@@ -16,6 +15,7 @@ from icub_core.scene import Geom, ObjectSpec, Table
 from icub_simulators.objects.mass_properties import MassProperties
 from icub_simulators.pybullet.client import silence
 from icub_simulators.visual_meshes import decimated
+from icub_support.cache import cached_file, cached_text
 
 _TINY_MASS, _TINY_INERTIA = 1e-6, 1e-9
 _ELLIPSOID_DETAIL = 3

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.cache import cached_file, content_key
 from icub_core.data import RgbdFrame
 from icub_core.errors import SimulationError
 from icub_core.geometry import FloatArray, invert, pinhole
 from icub_core.interfaces.simulator import Rendering
 from icub_core.scene import CameraView, Light, Material
 from icub_simulators.pybullet.world import World
+from icub_support.cache import cached_file, content_key
 
 NEAR, FAR = 0.02, 40.0
 _MAX_SIDE = 8192

@@ -153,7 +153,9 @@ class World:
         """Command every actuator; a command that is not finite is a fault and changes nothing."""
         targets = np.asarray(targets, dtype=np.float64)
         if targets.shape != self._command.shape:
-            raise SimulationError(f"command has shape {targets.shape}; expected {self._command.shape}, one an actuator")
+            raise SimulationError(
+                f"command has shape {targets.shape}; expected {self._command.shape}, one per actuator"
+            )
         if not np.all(np.isfinite(targets)):
             self._seen.add(Fault.NOT_A_NUMBER)
         elif self._servos is not None:
@@ -215,7 +217,7 @@ class World:
         return any(other == number for _, other in self._robot_contacts())
 
     def save(self) -> FloatArray:
-        """Return joints, velocities, commands, objects and time as one vector, and go on from exactly that vector.
+        """Return joints, velocities, commands, objects and time as one vector, and continue from exactly that vector.
 
         Bullet's own memory of contacts (from which its solver starts) cannot be put into a vector. It is cleared here
         and in `restore`, so that what follows a saved state is bit for bit what follows the restored one.

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError
-from icub_core.geometry import matrix_to_euler
 from icub_core.interfaces.world import Fault
 from icub_tasks.grasping.fault_filter import FaultFilter
 from icub_tasks.grasping.reward import GraspReward
@@ -26,6 +25,7 @@ from icub_tasks.grasping.spaces import (
     PLAN_START,
     STEP,
     TOUCH,
+    matrix_to_euler,
 )
 from icub_tasks.grasping.termination import EndReason, end_reasons
 from icub_tasks.grasping.tracking import HandTracker

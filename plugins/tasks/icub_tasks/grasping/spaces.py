@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from icub_core.errors import ConfigError, unknown_name
-from icub_core.geometry import matrix_to_euler
 from icub_core.robot_description import HandDescription, RobotDescription
 
 FloatArray = NDArray[np.float64]
@@ -117,6 +116,27 @@ def hand_layout(description: RobotDescription, name: str | None = None) -> HandL
         max_speed=np.array([a.max_speed for a in every]),
         max_acceleration=np.array([a.max_acceleration for a in every]),
     )
+
+
+def euler_to_matrix(yaw_pitch_roll: FloatArray) -> FloatArray:
+    """Return the rotations (..., 3, 3) of Rx(roll) Ry(pitch) Rz(yaw), angles (..., 3) ordered yaw, pitch, roll."""
+    c, s = np.cos(yaw_pitch_roll), np.sin(yaw_pitch_roll)
+    cy, cp, cr = c[..., 0], c[..., 1], c[..., 2]
+    sy, sp, sr = s[..., 0], s[..., 1], s[..., 2]
+    R = np.empty((*yaw_pitch_roll.shape[:-1], 3, 3))
+    R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = cp * cy, -cp * sy, sp
+    R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = cr * sy + sr * sp * cy, cr * cy - sr * sp * sy, -sr * cp
+    R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = sr * sy - cr * sp * cy, sr * cy + cr * sp * sy, cr * cp
+    return R
+
+
+def matrix_to_euler(R: FloatArray) -> FloatArray:
+    """Invert `euler_to_matrix`: (..., 3) yaw in [0, 2 pi), pitch in [-pi/2, pi/2], roll in [0, 2 pi)."""
+    angles = np.empty((*R.shape[:-2], 3))
+    angles[..., 0] = np.arctan2(-R[..., 0, 1], R[..., 0, 0]) % (2 * np.pi)
+    angles[..., 1] = np.arcsin(np.clip(R[..., 0, 2], -1.0, 1.0))
+    angles[..., 2] = np.arctan2(-R[..., 1, 2], R[..., 2, 2]) % (2 * np.pi)
+    return angles
 
 
 def pose_vector(T_world_hand: FloatArray) -> FloatArray:

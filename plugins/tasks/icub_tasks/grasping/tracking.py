@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from icub_core.geometry import euler_to_matrix
 from icub_core.interfaces.robot import Robot
-from icub_tasks.grasping.spaces import HandLayout
+from icub_tasks.grasping.spaces import HandLayout, euler_to_matrix
 
 FloatArray = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from icub_core.flare import HISTORY, flare
 from icub_core.interfaces.feature_extractor import FeatureExtractor
+from icub_support.flare import HISTORY, flare
 
 
 class VisualEncoder(ABC):

@@ -40,11 +40,11 @@ def main(arguments: Sequence[str]) -> int:
     if not equals:
         raise ConfigError(f"'{options.plugin}' is not KIND=NAME. Known: {', '.join(choices())}")
     train = trainer(kind, name)
-    run_dir = options.run_dir or Path("runs", "train", f"{kind}-{name}-seed{options.seed}")
-    run_dir.mkdir(parents=True, exist_ok=True)
     minutes = options.minutes if options.minutes is not None else default_minutes(train)
     if not minutes > 0:
         raise ConfigError(f"--minutes {minutes} is not above 0")
+    run_dir = options.run_dir or Path("runs", "train", f"{kind}-{name}-seed{options.seed}")
+    run_dir.mkdir(parents=True, exist_ok=True)
     logging.basicConfig(level=logging.INFO, filename=run_dir / "train.log", format="%(asctime)s %(name)s: %(message)s")
     try:
         with _bar(f"training {kind} {name}") as progress:

@@ -78,6 +78,6 @@ class GymTask(gymnasium.Env[Observation, NDArray[np.float32]]):
         return {name: entries[name][0].numpy() for name in self._names}
 
 
-def make(task: str, render_mode: str | None = None, **options: Any) -> GymTask:
+def gym_task(task: str, render_mode: str | None = None, **options: Any) -> GymTask:
     """Build a registered task; `options` are those of `icub_core.make_env`."""
     return GymTask(make_env(task, num_envs=1, **options), render_mode)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from importlib.metadata import entry_points
 
 from icub_core.commands.installed import commands_by_name
 from icub_core.kinds import KINDS
@@ -65,16 +66,14 @@ def candidates(words: list[str]) -> list[str]:
         return []
     current = words[-1]
     if len(words) == 2:
-        return _starting(current, [*commands_by_name(), "--help", "--version"])
+        return _starting(current, [*(name for name in commands_by_name() if name[0] != "_"), "--help", "--version"])
     command, position = words[1], len(words) - 2
     if command == "completion":
         return _starting(current, sorted(SCRIPTS)) if position == 1 else []
     if command in ("run", "train"):
         return _override(current, run=command == "run")
     if command == "benchmark" and position == 1:
-        from icub_core.commands.benchmark import benchmarks
-
-        return _starting(current, sorted(benchmarks()))
+        return _starting(current, sorted(entry.name for entry in entry_points(group="icub.benchmark")))
     if command == "plugins":
         return _plugins(words[2:], current)
     return []

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import datetime
 import json
-import os
-import platform
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from icub_core.files import write_text_atomically
-
-OWN = "icub-kit"
-"""Distribution whose version, and whose requirements' versions, decide results."""
+from icub_core.provenance import machine, versions
 
 
 @dataclass(frozen=True)
@@ -34,28 +28,6 @@ class Figure:
     unit: str
     spread: float | tuple[float, float] | None = None
     n: int = 1
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of Python, of this project and of the libraries it requires; absent ones are left out."""
-    found = {"python": platform.python_version()}
-    required = [
-        re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in metadata.requires(OWN) or () if "extra ==" not in line
-    ]
-    for name in (OWN, *required):
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
-
-
-def machine() -> dict[str, Any]:
-    """Return the number of usable cores and the name of the GPU, or None."""
-    import torch
-
-    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else None
-    return {"cores": len(os.sched_getaffinity(0)), "gpu": gpu}
 
 
 def write_results(path: Path, *, command: str, seed: int, figures: Mapping[str, Figure]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from icub_core.data import Instance
-from icub_core.evaluation.overlap import check_image_lists
+from icub_support.overlap import check_image_lists
 
 IOU_THRESHOLDS = (0.5, 0.7)
 MAX_DETECTIONS = 100  # an image and class; the thesis keeps 100 an image
@@ -74,7 +74,7 @@ def evaluate_instances(
         in the means, whatever was predicted; with an empty truth the means are NaN.
 
     Raises:
-        DataError: See `icub_core.evaluation.overlap.check_image_lists`.
+        DataError: See `icub_support.overlap.check_image_lists`.
     """
     check_image_lists(truth, predictions, classes)
     count = {label: sum(i.label == label for image in truth for i in image) for label in classes}

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from icub_core.errors import DataError
-from icub_core.evaluation.overlap import box_iou
 from icub_core.geometry import FloatArray
+from icub_support.overlap import box_iou
 
 
 def best_overlaps(truth: Sequence[FloatArray], proposals: Sequence[FloatArray], top: int | None = None) -> FloatArray:

@@ -1,1 +1,0 @@
-"""Measures of quality, and the one form in which figures are written."""
