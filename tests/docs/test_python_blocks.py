@@ -20,6 +20,7 @@ def cases() -> list:
     ]
 
 
+@pytest.mark.timeout(900)  # the README learns for a minute beside its evaluations
 @pytest.mark.parametrize("page", cases())
 def test_blocks_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
