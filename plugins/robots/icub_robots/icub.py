@@ -110,8 +110,7 @@ class ICub(Robot):
         self._check_start(q_start)
         if not np.isfinite(T_world_frame).all():
             return _unreachable(q_start)
-        moving = group or self.description.reach_group(frame)
-        return self._kinematics.solve(T_world_frame, q_start, frame, moving, request)
+        return self._kinematics.solve(T_world_frame, q_start, frame, self._moving(frame, group), request)
 
     def inverse_kinematics_batch(
         self,
@@ -129,9 +128,16 @@ class ICub(Robot):
         self._check_start(q_start)
         targets = np.asarray(T_world_frames, dtype=np.float64).reshape(-1, 4, 4)
         finite = np.all(np.isfinite(targets), axis=(1, 2))
-        moving = group or self.description.reach_group(frame)
-        solved = iter(self._kinematics.solve_batch(targets[finite], q_start, frame, moving, request))
+        solved = iter(
+            self._kinematics.solve_batch(targets[finite], q_start, frame, self._moving(frame, group), request)
+        )
         return [next(solved) if good else _unreachable(q_start) for good in finite]
+
+    def _moving(self, frame: str, group: str | None) -> str:
+        if group is not None:
+            return group
+        self._model.frame_id(frame)  # names the nearest frame where there is none
+        return self.description.reach_group(frame)
 
     @cached_property
     def _gaze(self) -> Gaze:
