@@ -32,8 +32,8 @@ _RESET_WARNINGS = [int(w) for w in (_WARNING.mjWARN_BADQPOS, _WARNING.mjWARN_BAD
 _CONTROL_WARNING = int(_WARNING.mjWARN_BADCTRL)
 _FULL_WARNINGS = [int(w) for w in (_WARNING.mjWARN_CONTACTFULL, _WARNING.mjWARN_CNSTRFULL)]
 _Places = tuple[FloatArray, FloatArray, FloatArray | None, list[int], int, FloatArray]
-"""Rotation and position of a body (views), T_body_link, contact codes and fingertip count of a hand, position of an object
-(view)."""
+"""Rotation and position of a body (views), T_body_link, contact codes and fingertip count of a hand, position of an
+object (view)."""
 _OBJECT, _OTHER = 100, 300
 """Fingertips are 0, 1, ...: fingertip + object from 100 on, two objects 200, anything else 300 and more."""
 
