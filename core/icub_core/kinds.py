@@ -52,7 +52,7 @@ KINDS: dict[str, Kind] = {
         _kind("robot", "robot", "Robot", "description and kinematics", 2),
         _kind("objects", "object_set", "ObjectSet", "named objects to put on a table"),
         _kind("dataset", "dataset", "Dataset", "annotated images"),
-        _kind("episodes", "episodes", "Episodes", "recorded demonstrations"),
+        _kind("episodes", "episodes", "Episodes", "recorded motions of a robot"),
         _kind("task", "task", "Task", "episodes with rewards, as a batch of worlds"),
         _kind("pipeline", "pipeline", "Pipeline", "what a run does, stage by stage"),
     )
