@@ -110,7 +110,6 @@ class ICub(Robot):
         """Place `frame`; see the interface. Up to 10 iterations only follow from `q_start`, more may restart."""
         request = IkRequest(max_iterations, position_tolerance, orientation_tolerance)
         self._check_start(q_start)
-        group = group or self._description.reach_group(frame)
         if not np.isfinite(T_world_frame).all():
             return _unreachable(q_start)
         return self._kinematics.solve(T_world_frame, q_start, frame, self._moving(frame, group), request)
@@ -129,7 +128,6 @@ class ICub(Robot):
         """Solve many targets (k, 4, 4) from one start, each by one descent; see the interface."""
         request = IkRequest(max_iterations, position_tolerance, orientation_tolerance)
         self._check_start(q_start)
-        group = group or self._description.reach_group(frame)
         targets = np.asarray(T_world_frames, dtype=np.float64).reshape(-1, 4, 4)
         finite = np.all(np.isfinite(targets), axis=(1, 2))
         group = self._moving(frame, group)
