@@ -16,6 +16,7 @@ WITH_THEIR_DATA = {
     "simulator": "simulators",
     "objects": "simulators/test_objects.py",
     "dataset": ".",
+    "episodes": "datasets",
 }
 """Kinds whose plugins need weights, an engine or files: their own tests run the contract."""
 

@@ -3,8 +3,8 @@
 import pytest
 
 from icub_core.config.compose import compose
+from icub_core.construct import build
 from icub_core.errors import ConfigError
-from icub_core.registry import build
 from icub_core.renames import renamed
 
 

@@ -147,11 +147,11 @@ def test_updates_go_on_identically_from_a_saved_state():
     sac = Sac(STATES, ACTIONS, SETTINGS)
     for seed in range(4):
         sac.update(batch(seed))
-    kept = {name: value.clone() for name, value in sac.state().items()}
+    kept = {name: value.clone() for name, value in sac.state_dict().items()}
     other = Sac(STATES, ACTIONS, SETTINGS, seed=9)
-    other.restore(kept, Path("memory"))
+    other.load_state_dict(kept, Path("memory"))
     for learner in (sac, other):
         for seed in range(4, 8):
             learner.update(batch(seed))
-    for name, value in sac.state().items():
-        assert torch.equal(value, other.state()[name]), name
+    for name, value in sac.state_dict().items():
+        assert torch.equal(value, other.state_dict()[name]), name

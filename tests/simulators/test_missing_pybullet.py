@@ -1,6 +1,7 @@
 """Without PyBullet, what needs it stops before it starts, in one line that says what to install."""
 
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -9,7 +10,7 @@ from icub_datasets.feature_task.objects import feature_task_objects
 from icub_datasets.feature_task.task import FeatureTask
 from icub_grasp_generators.vgn.gripper_trials import GripperTrials
 from icub_grasp_generators.vgn.hand_trials import HandTrials
-from icub_policies.pretraining import training_worlds
+from icub_policies.pretraining import pretrain
 from icub_simulators.objects.random1000 import Random1000
 from icub_simulators.pybullet.simulator import PyBullet
 
@@ -28,7 +29,7 @@ def no_bullet(monkeypatch):
         (feature_task_objects, DataError),
         (lambda: GripperTrials(0), DataError),
         (lambda: HandTrials(0), DataError),
-        (lambda: training_worlds(1, 0, lambda share, text: None), DataError),
+        (lambda: pretrain(Path("nowhere"), 0), DataError),
     ],
     ids=["simulator", "random1000", "feature_task", "gripper_trials", "hand_trials", "pretraining"],
 )
