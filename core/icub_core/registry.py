@@ -102,7 +102,10 @@ def load(kind: str, name: str) -> type[Any]:
     try:
         target = EntryPoint(name=name, value=plugin.target, group=KINDS[kind].entry_point_group).load()
     except (Exception, SystemExit) as cause:
-        raise PluginError(f"{origin} cannot be imported: {one_line(cause)}") from cause
+        version = KINDS[kind].version
+        raise PluginError(
+            f"{origin} cannot be imported: {one_line(cause)} (here the interface '{kind}' has version {version})"
+        ) from cause
     base = interface(kind)
     if not (isinstance(target, type) and issubclass(target, base)):
         raise PluginError(f"{origin} is not a subclass of {base.__module__}.{base.__name__}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -184,7 +185,9 @@ def _act(policy: Policy, observation: TensorDictBase) -> torch.Tensor:
             return policy.act(observation)
     except KeyError as missing:
         known = ", ".join(sorted(str(key) for key in observation.keys()))
+        named = re.search(r'"([^"]+)"', str(missing.args[0]))  # a TensorDict's message lists its keys too
+        name = named[1] if named else missing.args[0]
         raise PluginError(
-            f"the policy {type(policy).__name__} asks for the observation {missing}, which the task does not have (a "
+            f"the policy {type(policy).__name__} asks for the observation '{name}', which the task does not have (a "
             f"policy written for version 1 of the interface? this is version 2). Known: {known}"
         ) from missing

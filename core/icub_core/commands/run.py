@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Sequence
@@ -150,11 +151,27 @@ def _resumed(words: list[str]) -> list[str]:
     record = folder / OVERRIDES_FILE
     if not record.is_file():
         raise ConfigError(f"{folder} is not the folder of a run: {record} does not exist")
+    _check_version(folder)
     import yaml
 
     earlier = [str(word) for word in yaml.safe_load(record.read_text(encoding="utf-8")) or []]
     earlier = [word for word in earlier if not word.startswith("run_dir=")]
     return [*earlier, *words[:position], *words[position + 2 :], f"run_dir={folder}"]
+
+
+def _check_version(folder: Path) -> None:
+    """Refuse the folder of a run that another version of the project has begun; raises ConfigError."""
+    from icub_core import __version__
+    from icub_core.provenance import OWN
+
+    try:
+        begun = str(json.loads((folder / "provenance.json").read_text(encoding="utf-8"))["versions"][OWN])
+    except (OSError, ValueError, KeyError, TypeError):
+        return  # interrupted before anything was written: there is nothing to misread
+    if begun.split(".")[:2] != __version__.split(".")[:2]:
+        raise ConfigError(
+            f"{folder} was begun by {OWN} {begun}, this is {__version__}; finish it there, or start a new run"
+        )
 
 
 def _overrides(words: list[str]) -> list[str]:
