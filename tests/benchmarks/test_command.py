@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from icub_benchmarks import cli, compare
+from icub_benchmarks import command as benchmark
 from icub_benchmarks.figures import Figure
 from icub_benchmarks.results import RUNS, command_line, make_parser, write_figures
-from icub_core.commands import benchmark
 from icub_core.errors import DataError
 
 NAMES = (

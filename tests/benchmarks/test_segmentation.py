@@ -24,6 +24,7 @@ from icub_core.geometry import pinhole
 from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter, UpdateReport
 from icub_segmenters.heads.linear import Linear
+from icub_segmenters.procedure import Procedure
 from icub_support.detection import MEAN_NAMES, DetectionMetrics
 
 COLORS = {"red": (200, 20, 20), "green": (20, 200, 20), "blue": (20, 20, 200)}
@@ -149,19 +150,14 @@ def test_the_benchmark_reports_means_deviations_and_ratios_run_by_run():
     assert figures["segmentation.heads_share"].value == pytest.approx(0.1)
 
 
-def test_constants_are_changed_for_one_trial_and_put_back():
-    from icub_segmenters import regions
-
-    method = Method("few", "falkon,icub_segmenters.regions.JITTERED=2,features=0:256")
-    config = method.config(0, "cpu", "tabletop", Path())
-    before = regions.JITTERED
-    with method.segmenter(config) as segmenter:
-        assert regions.JITTERED == 2 != before
-        assert segmenter.extractor.region_dim == 256
-    assert before == regions.JITTERED
-    wrong = Method("wrong", "falkon,icub_segmenters.regions.JITERED=2")
-    with pytest.raises(ConfigError, match="Did you mean 'JITTERED'"), wrong.segmenter(config):
-        pass
+def test_a_method_is_a_configuration_and_some_columns_of_the_features():
+    method = Method("few", "falkon,segmenter.procedure.jittered_boxes=2,features=0:256")
+    segmenter = method.segmenter(method.config(0, "cpu", "tabletop", Path()))
+    assert segmenter.procedure.jittered_boxes == 2 != Procedure().jittered_boxes
+    assert segmenter.extractor.region_dim == 256
+    wrong = Method("wrong", "falkon,segmenter.procedure.jitered_boxes=2")
+    with pytest.raises(ConfigError, match="jitered_boxes"):
+        wrong.config(0, "cpu", "tabletop", Path())
 
 
 def test_a_report_has_a_row_a_method_and_a_plot(tmp_path):

@@ -67,7 +67,7 @@ def tiny(install):
 
 
 def test_every_kind_has_its_key_and_left_out_stages_are_null(tiny):
-    config = compose([*TINY_WORLD, "~grasp_generator", "~task"])
+    config = compose([*TINY_WORLD, "~grasp_generator"])
     assert set(KINDS) <= set(config)
     assert config.simulator.plugin == "tiny"
     assert config.segmenter is None

@@ -116,7 +116,9 @@ print("well")
 """
 
 
-@pytest.mark.parametrize("order", ["import gymnasium, icub_core", "import icub_core, gymnasium"])
+@pytest.mark.parametrize(
+    "order", [pytest.param("import gymnasium, icub_core", marks=pytest.mark.slow), "import icub_core, gymnasium"]
+)
 def test_gymnasium_makes_the_task_in_either_import_order(order):
     assert python(f"{order}\n{EPISODE}") == "well\n"
 
@@ -152,7 +154,7 @@ if __name__ == "__main__":
 @pytest.mark.parametrize(
     ("mode", "options"),
     [
-        ("sync", "{}"),
+        pytest.param("sync", "{}", marks=pytest.mark.slow),
         pytest.param("async", '{"vector_kwargs": {"context": "spawn"}}', marks=pytest.mark.slow),
     ],
 )
@@ -179,6 +181,7 @@ print("well")
 """
 
 
+@pytest.mark.slow
 def test_gymnasium_s_own_check_passes_and_the_robot_s_camera_is_shown():
     assert python(CHECKED).endswith("well\n")
 

@@ -29,6 +29,8 @@ from icub_core.renames import new_name, renamed_parameters
 
 VERSION_BASE = "1.3"
 PRIMARY = "config"
+LATE = "task"
+"""A task is built by the stage that acts in it; a run without such a stage may leave its parts out."""
 
 
 def compose(
@@ -115,7 +117,9 @@ def check(config: DictConfig, read: Collection[str] = ()) -> None:
         checked_parameters(kind, name, cls, parameters)
         for dependency in signature(kind, name, cls).dependencies.values():
             asked.add(dependency.name)
-            if dependency.required and dependency.name in KINDS and config.get(dependency.name) is None:
+            if kind == LATE or not dependency.required or dependency.name not in KINDS:
+                continue
+            if config.get(dependency.name) is None:
                 raise missing_dependency(kind, name, dependency.name)
     # the stages of a run see the simulated world, so recorded data would be ignored
     for kind, what in (("dataset", "data set"), ("episodes", "recorded episode")):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+from inspect import Parameter
 from pathlib import Path
 
 from icub_core.errors import ConfigError
 from icub_core.interfaces.pipeline import Pipeline, Stage
 from icub_core.interfaces.simulator import Simulator
 from icub_core.interfaces.task import Task
+from icub_core.kinds import KINDS
 from icub_core.run import Run
 from icub_pipelines import grasping, seeing
 from icub_pipelines.settings import GraspSettings, SeeSettings, TeachSettings, target_name, taught_names
@@ -124,8 +126,9 @@ def _check_task(run: Run) -> None:
     if not run.plugins.chosen("task"):
         raise ConfigError("a policy acts in a task; add task=NAME")
     taken, node = run.plugins.takes("task"), run.config.get("task") or {}
-    if "grasp_generator" in taken and not run.plugins.chosen("grasp_generator"):
-        raise ConfigError("a policy starts from a grasp pose; choose grasp_generator=superquadrics")
+    for kind in KINDS:
+        if taken.get(kind) is Parameter.empty and not run.plugins.chosen(kind):
+            raise ConfigError(f"the task '{run.plugins.chosen('task')}' needs a {kind}; add {kind}=NAME")
     for key, setting in DECIDED_HERE.items():
         if key in taken and key in node and node[key] != taken[key]:
             raise ConfigError(
