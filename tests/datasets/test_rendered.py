@@ -184,7 +184,7 @@ def test_a_hand_hides_part_of_what_it_holds(shown):
     simulator, sequence = dataset._simulator, len(HANDHELD) - 1  # the last one is loaded
     view, hidden = CameraView(dataset[-1][0].T_world_camera), []
     for moment in range(0, 32, 4):  # two of each grip
-        together = dataset._picture(simulator, sequence, moment).segmentation == 0
+        together = dataset._image(simulator, sequence, moment).segmentation == 0
         for spec in simulator.scene.objects:
             if spec.name.startswith("hand_"):
                 simulator.park_object(spec.name)

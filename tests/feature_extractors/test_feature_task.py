@@ -169,24 +169,24 @@ def test_frames_show_objects_at_many_sizes(renderer):
 
 
 @pytest.fixture(scope="module")
-def pictures(renderer):
+def images(renderer):
     return [frame_with_objects(renderer), frame_with_objects(renderer, 100)]
 
 
 @pytest.mark.pybullet
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**31))
-def test_augmentation_keeps_labels_and_masks_together(pictures, seed):
+def test_augmentation_keeps_labels_and_masks_together(images, seed):
     rng = np.random.default_rng(seed)
-    before = [(p.rgb.copy(), p.instances.copy()) for p in pictures]
-    out = augment(rng, *pictures)
-    assert out.rgb.shape == pictures[0].rgb.shape
+    before = [(p.rgb.copy(), p.instances.copy()) for p in images]
+    out = augment(rng, *images)
+    assert out.rgb.shape == images[0].rgb.shape
     assert out.rgb.dtype == np.uint8
     counts = np.bincount(out.instances.ravel(), minlength=len(out.labels) + 1)
     assert len(counts) == len(out.labels) + 1
     assert (counts[1:] >= MIN_PIXELS).all()
-    assert set(out.labels) <= set(pictures[0].labels) | set(pictures[1].labels)
-    for picture, (rgb, instances) in zip(pictures, before, strict=True):
+    assert set(out.labels) <= set(images[0].labels) | set(images[1].labels)
+    for picture, (rgb, instances) in zip(images, before, strict=True):
         assert np.array_equal(picture.rgb, rgb)
         assert np.array_equal(picture.instances, instances)
 

@@ -17,7 +17,7 @@ EYE = CENTER + [0.4, -0.3, 0.25]
 SOLID = Superquadric.from_parts(HALF, np.array([0.05, 0.05]), np.eye(3), CENTER)
 
 
-def picture(count: int = 3000, seed: int = 0) -> np.ndarray:
+def image(count: int = 3000, seed: int = 0) -> np.ndarray:
     """Points of the carton as a camera spreads them: evenly over the image."""
     rng = np.random.default_rng(seed)
     local, normals = surface("box", HALF, rng, 60_000)
@@ -43,13 +43,13 @@ def test_hands_of_the_test_are_rotations_that_span_the_carton():
 
 
 def test_a_solid_that_was_seen_costs_nothing():
-    evidence = Evidence(SOLID, picture(), EYE, SWEEP)
+    evidence = Evidence(SOLID, image(), EYE, SWEEP)
     assert evidence.cost(HIGH)[0] == 0.0
     assert evidence.cost(LOW)[0] == 0.0
 
 
 def test_where_half_of_the_solid_was_not_seen_poses_cost_more_the_less_was_seen():
-    points = picture()
+    points = image()
     half_seen = points[(points[:, 2] > CENTER[2]) | (np.arange(len(points)) % 4 == 0)]
     unseen = points[points[:, 2] > CENTER[2]]
     some, none = (Evidence(SOLID, cloud, EYE, SWEEP) for cloud in (half_seen, unseen))
@@ -58,12 +58,12 @@ def test_where_half_of_the_solid_was_not_seen_poses_cost_more_the_less_was_seen(
     assert none.cost(LOW)[0] > 1.5
 
 
-def test_poses_that_close_around_nothing_of_either_are_not_judged():
-    evidence = Evidence(SOLID, picture(), EYE, SWEEP)
+def test_poses_that_close_around_nothing_of_either_are_not_scored():
+    evidence = Evidence(SOLID, image(), EYE, SWEEP)
     assert evidence.cost(hand_at(0.5))[0] == 0.0
 
 
-def test_shares_of_the_picture_are_those_of_a_camera():
+def test_shares_of_the_image_are_those_of_a_camera():
     """Through the whole solid's grasp region: what a camera sees and what is expected agree for any turn of it."""
     for yaw in (0.0, 0.4, 1.1):
         R = rotation_about("z", yaw)

@@ -93,7 +93,7 @@ def test_without_a_table_the_cube_stands_on_the_lowest_point(icub, generator):
     assert np.all(np.abs(poses[:, 2, 3] - TABLE.top - 0.05) < 0.2)
 
 
-def test_without_a_threshold_only_poses_that_were_judged_are_proposed(icub):
+def test_without_a_threshold_only_poses_that_were_scored_are_proposed(icub):
     proposals = Vgn(threshold=0.0, max_grasps=150).propose(cloud_of(CAN), icub, TABLE)
     assert proposals, proposals.reason
     assert min(grasp.score for grasp in proposals.grasps) > 0
@@ -149,7 +149,7 @@ def test_the_card_says_where_the_weights_come_from_and_how_good_they_are(name):
         assert card["figures"]["judge_held_best"] > card["figures"]["judge_held"] + 0.2
 
 
-def test_the_shipped_judge_takes_the_carton_across_no_more_than_the_hand_opens(generator, icub):
+def test_the_shipped_classifier_takes_the_carton_across_no_more_than_the_hand_opens(generator, icub):
     """38 mm one way and 175 mm the other: thumb and fingers may come at an angle, not from the ends."""
     for yaw in (-0.3, 0.0, 0.3):
         proposals = generator.propose(cloud_of(CARTON, yaw), icub, TABLE)

@@ -14,7 +14,7 @@ from icub_core.errors import DataError
 from icub_core.geometry import make_transform, rotation_about
 from icub_core.scene import Geom, ObjectSpec
 from icub_grasp_generators.synthetic_clouds import surface
-from icub_grasp_generators.vgn import judge_training, network_training, training
+from icub_grasp_generators.vgn import classifier_training, network_training, training
 from icub_grasp_generators.vgn.generation import generate
 from icub_grasp_generators.vgn.gripper_trials import TURNS, approaches, middle_of_longest_run
 from icub_grasp_generators.vgn.gripper_world import FINGER_DEPTH, MAX_WIDTH, GripperWorld
@@ -189,11 +189,11 @@ def quick(monkeypatch):
     torch.set_num_threads(1)
     parts = tuple(training.Part(p.name, p.pose, MadeUp, p.data, 0.05, 0.4) for p in training.PARTS)
     monkeypatch.setattr(training, "PARTS", parts)
-    monkeypatch.setattr(training, "JUDGE_SHARE", 0.1)
+    monkeypatch.setattr(training, "CLASSIFIER_SHARE", 0.1)
     monkeypatch.setattr(training, "MAX_BATCHES", 2)
     monkeypatch.setattr(network_training, "SCENES_PER_STEP", 2)
     monkeypatch.setattr(network_training, "VARIANTS", 2)
-    monkeypatch.setattr(judge_training, "BATCH", 8)
+    monkeypatch.setattr(classifier_training, "BATCH", 8)
 
 
 def test_training_writes_weights_and_cards_and_goes_on(quick, tmp_path):
@@ -201,9 +201,9 @@ def test_training_writes_weights_and_cards_and_goes_on(quick, tmp_path):
     training.train(tmp_path, 0, 0.03, lambda share, text: shares.append((share, text)))
     assert all(0.0 <= share <= 1.0 for share, _ in shares)
     for name, pose in (("parallel_jaw", "gripper"), ("icub_hand", "hand")):
-        _, meaning, judge = load_network(str(tmp_path / f"{name}.safetensors"))
+        _, meaning, classifier = load_network(str(tmp_path / f"{name}.safetensors"))
         assert meaning.pose == pose
-        assert (judge is not None) == (pose == "hand")
+        assert (classifier is not None) == (pose == "hand")
         card = json.loads((tmp_path / f"{name}.json").read_text())
         assert card["command"] == "icub train grasp_generator=vgn --seed 0 --minutes 0.03"
         assert card["figures"]["trials"] > 0

@@ -75,7 +75,7 @@ def trained():
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_what_was_taught_is_proposed_in_other_pictures(trained, way):
+def test_what_was_taught_is_proposed_in_other_images(trained, way):
     assert recall_of(trained[way], 0.5) > 0.9
     cells, _ = picture(7)
     boxes, scores = trained[way].propose(cells, SIZE)

@@ -29,7 +29,7 @@ from icub_benchmarks.results import command_line, make_parser, write_figures
 from icub_core.data import PointCloud
 from icub_core.scene import Table
 from icub_grasp_generators.synthetic_clouds import single_view
-from icub_grasp_generators.vgn.hand_search import MAX_JUDGED, around
+from icub_grasp_generators.vgn.hand_search import MAX_SCORED, around
 from icub_grasp_generators.vgn.network import load_network
 from icub_grasp_generators.vgn.volume import Volume
 
@@ -62,7 +62,7 @@ def main(argv: Sequence[str]) -> None:
     tsdf = torch.from_numpy(volume.tsdf((cloud,)))[None, None]
     network, _, classifier = load_network("icub_hand")
     assert classifier is not None  # the shipped file has one
-    view, poses = volume.range_view(cloud), around(cloud.points[::50], cloud)[:MAX_JUDGED]
+    view, poses = volume.range_view(cloud), around(cloud.points[::50], cloud)[:MAX_SCORED]
     robot, generator = icub.load("robot", "icub"), icub.load("grasp_generator", "vgn")
 
     def forward() -> None:
@@ -72,7 +72,7 @@ def main(argv: Sequence[str]) -> None:
     calls: dict[str, Callable[[], object]] = {
         "vgn.network_ms": forward,
         "vgn.tsdf_ms": lambda: volume.tsdf((cloud,)),
-        "vgn.judge_ms": lambda: classifier.judge(view, poses, box.center + PLACE, table.top),
+        "vgn.judge_ms": lambda: classifier.score(view, poses, box.center + PLACE, table.top),
         "vgn.propose_ms": lambda: generator.propose(cloud, robot, table),
     }
     figures = {key: milliseconds(call, options.repetitions, key) for key, call in calls.items()}

@@ -13,7 +13,7 @@ from icub_core.interfaces.dataset import Dataset
 from icub_core.interfaces.segmenter import Segmenter
 from icub_pipelines import seeing
 from icub_pipelines.settings import SeeSettings
-from icub_pipelines.tabletop import Tabletop, tabletop_pictures
+from icub_pipelines.tabletop import Tabletop, tabletop_images
 
 Sample = tuple[RgbdFrame, tuple[Instance, ...]]
 
@@ -76,7 +76,7 @@ def taught_and_seen(
             seeing.teach_object(simulator, robot, spec, cast(Segmenter, recorder), frames, rng, tell)
         others = seeing.distractors(objects, names, see, rng)
         test = []
-        for frame, present in tabletop_pictures(simulator, targets, others, Tabletop(frames=see.frames), rng):
+        for frame, present in tabletop_images(simulator, targets, others, Tabletop(frames=see.frames), rng):
             test.append((frame, tuple(i for i in present if i.label in names)))
             progress(0.7 + 0.3 * len(test) / see.frames, f"{len(test)} of {see.frames} images")
     finally:

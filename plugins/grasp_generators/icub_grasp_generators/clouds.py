@@ -15,7 +15,7 @@ MIN_EXTENT = 1e-3
 _LINE = 0.02  # ratio of the second to the first principal deviation below which the points are a line
 _OUTLIERS = 0.06  # share cut off at both ends of an extent: outliers must not span the box
 _TRIMMED = 0.02  # share cut off where the middle of an object is looked for
-_CHECKED = 500  # points that extent and spread are judged by
+_CHECKED = 500  # points that extent and spread are scored by
 
 CLOUD_POINTS = 250
 """Points that hands are tested against."""

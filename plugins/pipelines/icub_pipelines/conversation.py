@@ -110,11 +110,11 @@ class _Conversation:
         with self._stage("teach"):
             rng = run.rng(f"teach {len(self._session.segmenter.classes)} {self._training_images}")
             report, sample, seconds = self._session.teach(spec, self._frames, rng)
-        picture = run.run_dir / f"taught_{self._training_images:02d}.png"
-        save_image(picture, sample)
+        image = run.run_dir / f"taught_{self._training_images:02d}.png"
+        save_image(image, sample)
         self._session.segmenter.save(self._session.heads)
         self._console.print(
-            f"learned {spec.name}: {seconds:.1f} s in all, {report.seconds:.1f} s after the last frame; {picture}",
+            f"learned {spec.name}: {seconds:.1f} s in all, {report.seconds:.1f} s after the last frame; {image}",
             soft_wrap=True,
         )
 
@@ -138,10 +138,10 @@ class _Conversation:
         shown = identities(found, truth)
         for instance, name in shown:
             table.add_row(instance.label, f"{instance.score:.2f}", name or "no single object")
-        picture = run.run_dir / f"look_{self._looks:02d}.png"
-        save_image(picture, draw_instances(frame.rgb, [instance for instance, _ in shown]))
+        image = run.run_dir / f"look_{self._looks:02d}.png"
+        save_image(image, draw_instances(frame.rgb, [instance for instance, _ in shown]))
         self._console.print(table)
-        self._console.print(f"on the table: {', '.join(t.label for t in truth)}; {picture}", soft_wrap=True)
+        self._console.print(f"on the table: {', '.join(t.label for t in truth)}; {image}", soft_wrap=True)
 
     def _known(self) -> None:
         self._console.print(", ".join(self._session.segmenter.classes) or "nothing yet", soft_wrap=True)

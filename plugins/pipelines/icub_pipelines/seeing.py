@@ -19,7 +19,7 @@ from icub_core.scene import ObjectSpec, Scene, Table
 from icub_pipelines.images import Image, contact_sheet, draw_instances, save_image
 from icub_pipelines.settings import SeeSettings
 from icub_pipelines.stream import StreamTeacher
-from icub_pipelines.tabletop import Tabletop, tabletop_pictures
+from icub_pipelines.tabletop import Tabletop, tabletop_images
 from icub_pipelines.teacher import Showing, annotate, show
 from icub_support.appearance import random_lights, random_surface
 from icub_support.detection import evaluate_instances
@@ -118,7 +118,7 @@ def see(
     predictions: list[tuple[Instance, ...]] = []
     examples: list[Image] = []
     names = [spec.name for spec in targets]
-    pictures = tabletop_pictures(simulator, targets, distractors, Tabletop(frames=settings.frames), run.rng("see"))
+    pictures = tabletop_images(simulator, targets, distractors, Tabletop(frames=settings.frames), run.rng("see"))
     for number, (frame, present) in enumerate(pictures):
         found = segmenter.segment(frame)
         truths.append(tuple(instance for instance in present if instance.label in names))

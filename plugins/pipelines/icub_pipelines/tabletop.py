@@ -71,18 +71,18 @@ def scatter(
     return places
 
 
-def visible_instances(picture: Rendering, names: Sequence[str]) -> tuple[Instance, ...]:
+def visible_instances(image: Rendering, names: Sequence[str]) -> tuple[Instance, ...]:
     """Return the true instances that show enough pixels, from a rendering's segmentation."""
-    assert picture.segmentation is not None
+    assert image.segmentation is not None
     found = []
     for index, name in enumerate(names):
-        mask = picture.segmentation == index
+        mask = image.segmentation == index
         if np.count_nonzero(mask) >= MINIMUM_VISIBLE_PIXELS:
             found.append(Instance.from_mask(name, mask))
     return tuple(found)
 
 
-def tabletop_pictures(
+def tabletop_images(
     simulator: Simulator,
     targets: Sequence[ObjectSpec],
     distractors: Sequence[ObjectSpec],
@@ -116,11 +116,11 @@ def tabletop_pictures(
         for name, (x, y) in scatter(drawn, middle, tabletop.spread, rng).items():
             spec = objects[names.index(name)]
             simulator.set_object_pose(name, standing_pose(spec, x, y, table.top, rng.uniform(0, 2 * np.pi)))
-        picture = simulator.render(
+        image = simulator.render(
             CameraView(_viewpoint(middle, table.top, tabletop, rng)), tabletop.width, tabletop.height,
             segmentation=True, shadows=True,
         )  # fmt: skip
-        yield picture.frame, visible_instances(picture, names)
+        yield image.frame, visible_instances(image, names)
 
 
 def _viewpoint(

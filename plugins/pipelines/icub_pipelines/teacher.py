@@ -82,10 +82,10 @@ def show(
             forward + 0.25 * path[i, 1] * side + (0.15 * path[i, 2] - 0.3) * np.array([0, 0, 1.0])
         )
         simulator.set_object_pose(name, make_transform(R, position))
-        picture = simulator.render(
+        image = simulator.render(
             camera, showing.width, showing.height, look_at=position if gaze is None else gaze
         ).frame
-        frame = RgbdFrame(picture.rgb, picture.depth, picture.intrinsics, picture.T_world_camera, stamp=i / FRAME_RATE)
+        frame = RgbdFrame(image.rgb, image.depth, image.intrinsics, image.T_world_camera, stamp=i / FRAME_RATE)
         mask = closest_blob(frame.depth)
         gaze = None if mask is None else np.median(frame.to_cloud(mask).points, axis=0)
         yield frame

@@ -17,7 +17,7 @@ from icub_core.run import Run
 from icub_core.scene import ObjectSpec
 from icub_pipelines import seeing
 from icub_pipelines.images import Image
-from icub_pipelines.tabletop import Tabletop, tabletop_pictures
+from icub_pipelines.tabletop import Tabletop, tabletop_images
 from icub_support.overlap import mask_iou
 
 SAME_OBJECT_IOU = 0.5
@@ -71,8 +71,8 @@ class TeachingSession:
     ) -> list[Look]:
         """Look at tables with known and unknown objects on them, in other rooms than the training images'."""
         looks = []
-        for number, picture in enumerate(tabletop_pictures(self.simulator, known, unknown, tabletop, rng)):
-            looks.append(picture)
+        for number, image in enumerate(tabletop_images(self.simulator, known, unknown, tabletop, rng)):
+            looks.append(image)
             self.run.progress((number + 1) / tabletop.frames, f"{number + 1} of {tabletop.frames} images")
         return looks
 

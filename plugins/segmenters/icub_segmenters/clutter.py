@@ -71,22 +71,22 @@ class ClutterPicture:
 class Compositor:
     """Makes images of a taught object among clutter, at times beside objects that were taught before."""
 
-    def __init__(self, pictures: list[ClutterPicture], look_alikes: float = STANDARD.look_alikes) -> None:
+    def __init__(self, images: list[ClutterPicture], look_alikes: float = STANDARD.look_alikes) -> None:
         """Take images that show no taught object; their objects are pasted as distractors.
 
         Args:
-            pictures: Backgrounds, with the objects on them.
+            images: Backgrounds, with the objects on them.
             look_alikes: Share of the distractors that take on the taught object's colors, so that color alone does not
                 decide.
         """
-        if not pictures:
+        if not images:
             raise DataError("there are no clutter images; expected at least one")
-        self.pictures, self.look_alikes = pictures, look_alikes
+        self.images, self.look_alikes = images, look_alikes
         self.distractors = [
-            Cutout.of("", picture.rgb, picture.objects == number)
-            for picture in pictures
-            for number in np.unique(picture.objects[picture.objects > 0])
-            if np.count_nonzero(picture.objects == number) >= MIN_SIDE**2
+            Cutout.of("", image.rgb, image.objects == number)
+            for image in images
+            for number in np.unique(image.objects[image.objects > 0])
+            if np.count_nonzero(image.objects == number) >= MIN_SIDE**2
         ]
         self.remembered: dict[str, list[Cutout]] = {}
 
@@ -100,7 +100,7 @@ class Compositor:
         files = sorted(p for p in folder.glob("*") if p.suffix.lower() in (".jpg", ".jpeg"))
         if not files:
             raise DataError(f"no JPEG image in {folder}; expected images of clutter")
-        pictures = []
+        images = []
         for file in files:
             rgb = np.ascontiguousarray(_read(file, cv2.IMREAD_COLOR)[:, :, ::-1])
             objects, numbers = np.zeros(rgb.shape[:2], np.uint8), file.with_suffix(".png")
@@ -108,8 +108,8 @@ class Compositor:
                 objects = _read(numbers, cv2.IMREAD_GRAYSCALE)
                 if objects.shape != rgb.shape[:2]:
                     raise DataError(f"{numbers} is {objects.shape}; expected the image's {rgb.shape[:2]}")
-            pictures.append(ClutterPicture(rgb, objects))
-        return cls(pictures, look_alikes)
+            images.append(ClutterPicture(rgb, objects))
+        return cls(images, look_alikes)
 
     def remember(self, cutout: Cutout, rng: np.random.Generator) -> None:
         """Keep a cut-out for later images; of each label a few are kept at random."""
@@ -122,9 +122,9 @@ class Compositor:
     def compose(self, cutout: Cutout, size: tuple[int, int], rng: np.random.Generator) -> Composite:
         """Paste `cutout`, up to two other remembered objects and some distractors into an image of (height, width)."""
         height, width = size
-        picture = self.pictures[int(rng.integers(len(self.pictures)))]
-        background = cv2.resize(picture.rgb, (width, height)).astype(np.uint8)
-        objects = cv2.resize(picture.objects, (width, height), interpolation=cv2.INTER_NEAREST)
+        image = self.images[int(rng.integers(len(self.images)))]
+        background = cv2.resize(image.rgb, (width, height)).astype(np.uint8)
+        objects = cv2.resize(image.objects, (width, height), interpolation=cv2.INTER_NEAREST)
         if rng.random() < 0.5:
             background, objects = background[:, ::-1], objects[:, ::-1]
         canvas = relit(background, rng)
@@ -159,10 +159,10 @@ class Compositor:
 
 
 def _read(file: Path, flags: int) -> NDArray[np.uint8]:
-    picture = cv2.imread(str(file), flags)
-    if picture is None:
+    image = cv2.imread(str(file), flags)
+    if image is None:
         raise DataError(f"{file} cannot be read as an image")
-    return picture.astype(np.uint8)
+    return image.astype(np.uint8)
 
 
 def relit(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:

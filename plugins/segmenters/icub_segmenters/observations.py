@@ -91,7 +91,7 @@ class Observations:
             return
         if self._compositor is None:
             self._compositor = Compositor.from_folder(look_alikes=self.procedure.look_alikes)
-            for picture in self._compositor.pictures[: self.procedure.bank_images]:
+            for picture in self._compositor.images[: self.procedure.bank_images]:
                 others = [picture.objects == k for k in np.unique(picture.objects[picture.objects > 0])]
                 self._add(picture.rgb, (), generator, others)
         cutouts = [Cutout.of(instance.label, frame.rgb, instance.mask) for instance in instances]

@@ -141,21 +141,21 @@ class RenderedDataset(Dataset):
             self._loaded = None  # a failed load must not pass for the sequence
             self._load(self._simulator, sequence)
             self._loaded = sequence
-        picture = self._picture(self._simulator, sequence, moment)
-        return self._annotate(picture, self._simulator, index)
+        image = self._image(self._simulator, sequence, moment)
+        return self._annotate(image, self._simulator, index)
 
-    def _annotate(self, picture: Rendering, simulator: Simulator, index: int) -> StoredFrame:
+    def _annotate(self, image: Rendering, simulator: Simulator, index: int) -> StoredFrame:
         """Number the visible target objects from 1; everything else is 0."""
-        assert picture.segmentation is not None
-        shown = np.zeros(picture.segmentation.shape, dtype=np.uint8)
+        assert image.segmentation is not None
+        shown = np.zeros(image.segmentation.shape, dtype=np.uint8)
         labels: list[str] = []
         least = max(1.0, MINIMUM_VISIBLE_SHARE * shown.size)
         for number, spec in enumerate(simulator.scene.objects):
-            mask = picture.segmentation == number
+            mask = image.segmentation == number
             if spec.name in self._classes and np.count_nonzero(mask) >= least:
                 labels.append(spec.name)
                 shown[mask] = len(labels)
-        frame = picture.frame
+        frame = image.frame
         stamped = RgbdFrame(frame.rgb, frame.depth, frame.intrinsics, frame.T_world_camera, index / FRAME_RATE)
         return StoredFrame.pack(stamped, shown, tuple(labels))
 
@@ -168,7 +168,7 @@ class RenderedDataset(Dataset):
         """Build the room of a sequence."""
 
     @abstractmethod
-    def _picture(self, simulator: Simulator, sequence: int, moment: int) -> Rendering:
+    def _image(self, simulator: Simulator, sequence: int, moment: int) -> Rendering:
         """Take image number `moment` of the loaded sequence, with segmentation."""
 
 

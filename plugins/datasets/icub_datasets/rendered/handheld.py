@@ -87,7 +87,7 @@ class RenderedHandheld(RenderedDataset):
         for name, T_world_object in stands.items():
             simulator.set_object_pose(name, T_world_object)
 
-    def _picture(self, simulator: Simulator, sequence: int, moment: int) -> Rendering:
+    def _image(self, simulator: Simulator, sequence: int, moment: int) -> Rendering:
         chosen = moment // GRIP_FRAMES % len(self._grips)
         T_world_object = self._pose(self._grips[chosen], sequence, moment)
         simulator.set_object_pose(HANDHELD[sequence], T_world_object)

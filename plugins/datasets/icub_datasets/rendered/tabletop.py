@@ -87,7 +87,7 @@ class RenderedTabletop(RenderedDataset):
         for name, T_world_object in arrange(specs, table, rng).items():
             simulator.set_object_pose(name, T_world_object)
 
-    def _picture(self, simulator: Simulator, sequence: int, moment: int) -> Rendering:
+    def _image(self, simulator: Simulator, sequence: int, moment: int) -> Rendering:
         table = simulator.scene.table
         assert table is not None
         view = CameraView(self._viewpoint(table, sequence, moment))

@@ -17,7 +17,7 @@ from icub_grasp_generators.superquadrics.shape import Superquadric
 
 _SURFACE_POINTS = 400
 _CONFIRMED = 0.8  # ratio from which on nothing is amiss: outliers and parts that the solid leaves out take their share
-_NOTHING = 0.01  # share of the image below which a pose is not judged
+_NOTHING = 0.01  # share of the image below which a pose is not scored
 _WEIGHT = 2.0
 
 

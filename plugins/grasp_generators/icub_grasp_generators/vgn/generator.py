@@ -15,8 +15,8 @@ from icub_grasp_generators.clouds import CLOUD_POINTS, MAX_TOUCHED, center_of, c
 from icub_grasp_generators.planned_hand import PlannedHand
 from icub_grasp_generators.reach import HandGeometries, Reach, clears_table
 from icub_grasp_generators.vgn.adaptation import hand_poses
-from icub_grasp_generators.vgn.hand_search import MAX_JUDGED, around
-from icub_grasp_generators.vgn.judge import HandJudge
+from icub_grasp_generators.vgn.classifier import GraspClassifier
+from icub_grasp_generators.vgn.hand_search import MAX_SCORED, around
 from icub_grasp_generators.vgn.network import GRIPPER, Meaning, VgnNetwork, load_network
 from icub_grasp_generators.vgn.palm import at_palm, is_learned
 from icub_grasp_generators.vgn.passage import passes
@@ -34,15 +34,15 @@ class Vgn(GraspGenerator):
 
     Every voxel has a quality, a rotation and a width. The best voxels near the surface become hand poses; those that
     keep the open hand out of table and cloud and that the arm reaches on the whole way are returned, most confident
-    first. Weights that were learned with the hand have a second network, the judge: around the best voxels many hand
-    poses are drawn, and its word on each is their confidence.
+    first. Weights that were learned with the hand have a second network, the grasp-quality classifier: around the best
+    voxels many hand poses are drawn, and their confidence is its probability that each holds.
 
     Args:
         weights: ``"icub_hand"`` (shipped; learned from trials with the iCub's hand), ``"parallel_jaw"`` (shipped;
             learned from trials with a gripper, adapted to the hand), the path of a file that
             ``icub train grasp_generator=vgn`` wrote, or the path of the original's weight file (``.pth``). For a hand
             that is not like the iCub's, ``"parallel_jaw"`` takes the place of weights of the iCub's hand.
-        threshold: Least quality of a voxel, and least confidence of a judged hand pose, 0..1.
+        threshold: Least quality of a voxel, and least confidence of a scored hand pose, 0..1.
         table_in_volume: Whether the field contains the table.
         max_grasps: At most this many are returned.
 
@@ -69,7 +69,7 @@ class Vgn(GraspGenerator):
         """
         geometry = self._hands.get(robot, hand)
         planned, name = geometry.planned, geometry.name
-        _, _, judge = self._networks(planned)
+        _, _, classifier = self._networks(planned)
         if cloud.frame != "world":
             return GraspProposals((), reason=f"the cloud is given in the frame '{cloud.frame}'; expected 'world'")
         try:
@@ -82,23 +82,23 @@ class Vgn(GraspGenerator):
             return GraspProposals((), reason=str(error))
         if len(quality) == 0:
             return GraspProposals((), center, f"no voxel has a quality of {self._threshold} or more")
-        if judge is not None:
+        if classifier is not None:
             T = np.concatenate([T, around(at_palm(T)[:, :3, 3], seen)])
         T_world_hand = planned.to_hand(T)
         free = geometry.occupancy.count(T_world_hand, thin(cloud.points, CLOUD_POINTS)) <= MAX_TOUCHED
         if not free.any():
             return GraspProposals((), center, f"at all {len(free)} poses found the open hand meets points of the cloud")
-        if judge is not None:
+        if classifier is not None:
             free &= clears_table(geometry.hand.at(T_world_hand), geometry.hand.radii, table)
-            chosen = np.flatnonzero(free)[:MAX_JUDGED]
+            chosen = np.flatnonzero(free)[:MAX_SCORED]
             if not len(chosen):
                 return GraspProposals((), center, f"at all {len(free)} poses found the open hand meets cloud or table")
             quality = np.full(len(free), -np.inf)
-            quality[chosen] = _judged(judge, T[chosen], seen, table)
+            quality[chosen] = _scored(classifier, T[chosen], seen, table)
             free = quality >= self._threshold
             if not free.any():
                 best = float(quality.max())
-                return GraspProposals((), center, f"no hand pose is judged {self._threshold} or more; best {best:.2g}")
+                return GraspProposals((), center, f"no hand pose is scored {self._threshold} or more; best {best:.2g}")
         order = np.flatnonzero(free)
         order = order[np.argsort(-quality[order], kind="stable")]
         tries = [Grasp(T_world_hand[i], center, float(quality[i]), NAME, name) for i in order]
@@ -110,7 +110,7 @@ class Vgn(GraspGenerator):
             return GraspProposals((), center, f"on the way to all {len(reached)} poses the hand meets the cloud")
         return GraspProposals(grasps, center)
 
-    def _networks(self, hand: PlannedHand) -> tuple[VgnNetwork, Meaning, HandJudge | None]:
+    def _networks(self, hand: PlannedHand) -> tuple[VgnNetwork, Meaning, GraspClassifier | None]:
         """Return what predicts for a hand: weights of the iCub's hand know no other; the gripper's are for all."""
         if is_learned(hand) and self._own is not self._gripper:
             return self._own
@@ -142,9 +142,9 @@ class Vgn(GraspGenerator):
         return hand_poses(found, volume, meaning.pose, hand)
 
 
-def _judged(judge: HandJudge, T: FloatArray, cloud: PointCloud, table: Table | None) -> FloatArray:
+def _scored(classifier: GraspClassifier, T: FloatArray, cloud: PointCloud, table: Table | None) -> FloatArray:
     volume, center, bottom = _volume(cloud, table)
-    return judge.judge(volume.range_view(cloud), T, center, bottom)
+    return classifier.score(volume.range_view(cloud), T, center, bottom)
 
 
 def _volume(cloud: PointCloud, table: Table | None) -> tuple[Volume, FloatArray, float]:

@@ -11,8 +11,8 @@ from icub_grasp_generators.vgn.exploration import MIN_GRIPPED, draw_poses, fitte
 
 DRAWN = 1500
 """Poses drawn around all voxels together."""
-MAX_JUDGED = 300
-"""Of those that keep clear, at most so many are judged."""
+MAX_SCORED = 300
+"""Of those that keep clear, at most so many are scored."""
 
 
 def around(points: FloatArray, cloud: PointCloud) -> FloatArray:

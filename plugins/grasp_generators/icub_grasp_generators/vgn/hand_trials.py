@@ -163,6 +163,6 @@ class HandTrials:
 
 def seen_from(simulator: Simulator, eye: FloatArray, center: FloatArray) -> PointCloud:
     """Return the cloud (world) of the scene's first object from a free camera at `eye` (3,) that looks at `center`."""
-    picture = simulator.render(CameraView(look_at(eye, center)), WIDTH, HEIGHT, segmentation=True)
-    assert picture.segmentation is not None
-    return picture.frame.to_cloud(picture.segmentation == 0)
+    image = simulator.render(CameraView(look_at(eye, center)), WIDTH, HEIGHT, segmentation=True)
+    assert image.segmentation is not None
+    return image.frame.to_cloud(image.segmentation == 0)

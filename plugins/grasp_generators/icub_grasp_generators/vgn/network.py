@@ -20,15 +20,15 @@ from torch.nn import functional
 
 from icub_core.errors import WeightsError, unknown_name
 from icub_core.files import write_atomically
-from icub_grasp_generators.vgn.judge import HandJudge
+from icub_grasp_generators.vgn.classifier import GraspClassifier
 from icub_grasp_generators.vgn.volume import RESOLUTION
 
 SHIPPED = Path(__file__).resolve().parent / "weights"
 GRIPPER, HAND = "gripper", "hand"
 """What a voxel's rotation belongs to: a parallel-jaw gripper, or the palm point of the iCub's right hand."""
 _HEADER = "icub"
-JUDGE = "judge."
-"""What the names of the judge's tensors begin with."""
+CLASSIFIER = "judge."
+"""What the names of the grasp-quality classifier's tensors begin with."""
 
 
 @dataclass(frozen=True)
@@ -163,17 +163,17 @@ def _of(conv: nn.Module) -> tuple[torch.Tensor, torch.Tensor]:
     return conv.weight, conv.bias
 
 
-def save_network(path: Path, network: VgnNetwork, meaning: Meaning, judge: HandJudge | None = None) -> None:
-    """Write weights and what they mean to one safetensors file, in one step; a hand's network may have its judge."""
+def save_network(path: Path, network: VgnNetwork, meaning: Meaning, classifier: GraspClassifier | None = None) -> None:
+    """Write weights and what they mean to one safetensors file, in one step, with a hand's classifier, if any."""
     tensors = {name: value.detach().contiguous() for name, value in network.state_dict().items()}
-    if judge is not None:
-        tensors |= {JUDGE + name: value.detach().contiguous() for name, value in judge.state_dict().items()}
+    if classifier is not None:
+        tensors |= {CLASSIFIER + name: value.detach().contiguous() for name, value in classifier.state_dict().items()}
     header = {_HEADER: json.dumps(asdict(meaning))}
     write_atomically(path, lambda temporary: save_file(tensors, temporary, header))
 
 
-def load_network(weights: str) -> tuple[VgnNetwork, Meaning, HandJudge | None]:
-    """Read a network for inference, with the judge of hand poses where the file has one.
+def load_network(weights: str) -> tuple[VgnNetwork, Meaning, GraspClassifier | None]:
+    """Read a network for inference, with the grasp-quality classifier of hand poses where the file has one.
 
     Args:
         weights: Name of shipped weights, the path of a safetensors file of this project, or the path of the original
@@ -191,12 +191,12 @@ def load_network(weights: str) -> tuple[VgnNetwork, Meaning, HandJudge | None]:
     if not path.is_file():
         raise WeightsError(f"there is no VGN weight file {path}")
     tensors, meaning = _read_safetensors(path) if path.suffix == ".safetensors" else (_read_pickle(path), Meaning())
-    network, judge = VgnNetwork(), None
+    network, classifier = VgnNetwork(), None
     _fill(network, tensors, path)
-    if any(name.startswith(JUDGE) for name in tensors):
-        judge = HandJudge()
-        _fill(judge, {n.removeprefix(JUDGE): v for n, v in tensors.items() if n.startswith(JUDGE)}, path)
-    return network, meaning, judge
+    if any(name.startswith(CLASSIFIER) for name in tensors):
+        classifier = GraspClassifier()
+        _fill(classifier, {n.removeprefix(CLASSIFIER): v for n, v in tensors.items() if n.startswith(CLASSIFIER)}, path)
+    return network, meaning, classifier
 
 
 def _fill(network: nn.Module, tensors: Mapping[str, torch.Tensor], path: Path) -> None:

@@ -35,7 +35,7 @@ class RangeView:
             raise DataError(f"the viewpoint is {away:.2f} m from the cube's center; expected at least {radius:.2f} m")
         self._R = look_at(self._eye, middle)[:3, :3]
         self._focal = (_PIXELS / 2 - 1) / np.tan(np.arcsin(radius / away))
-        self._ranges = _picture((cloud.points - self._eye) @ self._R, self._focal)
+        self._ranges = _image((cloud.points - self._eye) @ self._R, self._focal)
 
     def distance(self, points: FloatArray, table_top: float | None = None) -> FloatArray:
         """Return the signed distance (N,) of points (N, 3) along their rays: positive before the surface.
@@ -64,7 +64,7 @@ def _pixels(local: FloatArray, focal: float) -> tuple[NDArray[np.intp], NDArray[
     return index[:, 0], index[:, 1]
 
 
-def _picture(local: FloatArray, focal: float) -> FloatArray:
+def _image(local: FloatArray, focal: float) -> FloatArray:
     """Draw points (N, 3) of the camera's frame as ranges (P, P); a pixel takes the mean of what it shows first."""
     size = _PIXELS * _PIXELS
     if len(local) == 0:
@@ -77,13 +77,13 @@ def _picture(local: FloatArray, focal: float) -> FloatArray:
     front = own < nearest[pixel] + _SAME_SURFACE
     count = np.bincount(pixel[front], minlength=size)
     mean = np.bincount(pixel[front], own[front], minlength=size) / np.maximum(count, 1)
-    picture = np.where(count > 0, mean, np.inf).reshape(_PIXELS, _PIXELS)
-    return _without_gaps(_without_gaps(picture))
+    image = np.where(count > 0, mean, np.inf).reshape(_PIXELS, _PIXELS)
+    return _without_gaps(_without_gaps(image))
 
 
-def _without_gaps(picture: FloatArray) -> FloatArray:
+def _without_gaps(image: FloatArray) -> FloatArray:
     """Give empty pixels among measured ones the mean of their neighbors: clouds may be sparser than the image."""
-    padded = np.pad(picture, 1, constant_values=np.inf)
+    padded = np.pad(image, 1, constant_values=np.inf)
     around = np.stack(
         [
             padded[1 + i : 1 + i + _PIXELS, 1 + j : 1 + j + _PIXELS]
@@ -95,4 +95,4 @@ def _without_gaps(picture: FloatArray) -> FloatArray:
     known = np.isfinite(around)
     count = known.sum(axis=0)
     mean = np.where(known, around, 0.0).sum(axis=0) / np.maximum(count, 1)
-    return np.where(np.isinf(picture) & (count >= _NEIGHBORS), mean, picture)
+    return np.where(np.isinf(image) & (count >= _NEIGHBORS), mean, image)

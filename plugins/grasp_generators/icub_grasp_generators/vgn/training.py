@@ -4,7 +4,7 @@
     python -m icub_grasp_generators.vgn.training --run-dir runs/vgn --minutes 120
 
 `parallel_jaw` learns from trials of a floating gripper, as the original; `icub_hand` starts from it and learns from
-trials of the robot's own hand, which also teach its judge. Trials are files in the run folder, training is
+trials of the robot's own hand, which also teach its classifier. Trials are files in the run folder, training is
 checkpointed, and calling again with the same folder goes on where it was.
 """
 
@@ -23,10 +23,10 @@ from pathlib import Path
 from icub_core.files import write_text_atomically
 from icub_core.provenance import machine, versions
 from icub_grasp_generators.vgn.checkpoints import restored_steps
+from icub_grasp_generators.vgn.classifier_training import CLASSIFIER_CHECKPOINT, evaluate_classifier, fit_classifier
 from icub_grasp_generators.vgn.generation import Trials, generate
 from icub_grasp_generators.vgn.gripper_trials import GripperTrials
 from icub_grasp_generators.vgn.hand_trials import HandTrials
-from icub_grasp_generators.vgn.judge_training import JUDGE_CHECKPOINT, evaluate_judge, fit_judge
 from icub_grasp_generators.vgn.network import GRIPPER, HAND, Meaning, load_network, save_network
 from icub_grasp_generators.vgn.network_training import evaluate, fit
 from icub_grasp_generators.vgn.trials import TriedScene, read_trials
@@ -64,8 +64,8 @@ PARTS = (
     Part("parallel_jaw", GRIPPER, GripperTrials, GRIPPER_DATA, 0.08, 0.14),
     Part("icub_hand", HAND, HandTrials, HAND_DATA, 0.50, 0.12),
 )
-JUDGE_SHARE = 0.16
-"""Of the whole time, for the judge; it learns from the hand's trials."""
+CLASSIFIER_SHARE = 0.16
+"""Of the whole time, for the grasp-quality classifier; it learns from the hand's trials."""
 
 
 def train(run_dir: Path, seed: int, minutes: float = 60.0, progress: Progress = lambda share, text: None) -> None:
@@ -78,12 +78,12 @@ def train(run_dir: Path, seed: int, minutes: float = 60.0, progress: Progress = 
         told = _part_of(progress, begun, part.step_share)
         network = fit(part.name, part.pose, scenes, run_dir, seed, seconds * part.step_share, start_from, told)
         begun += part.step_share
-        judge = None
+        classifier = None
         if part.pose == HAND:
-            told = _part_of(progress, begun, JUDGE_SHARE)
-            judge = fit_judge(scenes, run_dir, seed, seconds * JUDGE_SHARE, told)
+            told = _part_of(progress, begun, CLASSIFIER_SHARE)
+            classifier = fit_classifier(scenes, run_dir, seed, seconds * CLASSIFIER_SHARE, told)
         start_from = run_dir / f"{part.name}.safetensors"
-        save_network(start_from, network, Meaning(part.pose), judge)
+        save_network(start_from, network, Meaning(part.pose), classifier)
         _write_card(part, scenes, run_dir, seed, minutes)
 
 
@@ -110,13 +110,13 @@ def _scenes(part: Part, run_dir: Path, seed: int, seconds: float, begun: float, 
 
 def _write_card(part: Part, scenes: list[TriedScene], run_dir: Path, seed: int, minutes: float) -> None:
     """Write where the weights come from and how good they are on objects that were held out."""
-    network, _, judge = load_network(str(run_dir / f"{part.name}.safetensors"))
+    network, _, classifier = load_network(str(run_dir / f"{part.name}.safetensors"))
     tried, held = sum(len(s.success) for s in scenes), sum(int(s.success.sum()) for s in scenes)
     figures = evaluate(network, [s for s in scenes if s.held_out], part.pose)
     steps = {"network": restored_steps(run_dir / f"{part.name}.checkpoint.safetensors")}
-    if judge is not None:
-        figures |= {f"judge_{key}": value for key, value in evaluate_judge(judge, scenes).items()}
-        steps["judge"] = restored_steps(run_dir / JUDGE_CHECKPOINT)
+    if classifier is not None:
+        figures |= {f"judge_{key}": value for key, value in evaluate_classifier(classifier, scenes).items()}
+        steps["judge"] = restored_steps(run_dir / CLASSIFIER_CHECKPOINT)
     card = {
         "name": part.name,
         "command": f"icub train grasp_generator=vgn --seed {seed} --minutes {minutes:g}",

@@ -179,14 +179,14 @@ class GraspWorld:
 
     def plan(self, name: str) -> GraspPlan | PlanFailure:
         """Look at the object where it stands and plan its grasp."""
-        picture = self.look(name)
+        image = self.look(name)
         if self._masks is not None:
-            mask = self._masks(picture.frame, name)
+            mask = self._masks(image.frame, name)
         else:
-            assert picture.segmentation is not None
-            mask = picture.segmentation == list(self._specs).index(name)
+            assert image.segmentation is not None
+            mask = image.segmentation == list(self._specs).index(name)
         return plan_grasp(
-            picture.frame,
+            image.frame,
             mask,
             name,
             self.generator,

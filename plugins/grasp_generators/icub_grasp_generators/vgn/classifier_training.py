@@ -1,4 +1,4 @@
-"""Train the judge of hand poses on the hand's trials: every trial as each of its scene's views shows it."""
+"""Train the grasp-quality classifier on the hand's trials: every trial as each of its scene's views shows it."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from torch.nn import functional
 from icub_core.data import PointCloud
 from icub_core.errors import DataError
 from icub_grasp_generators.clouds import center_of, thin
+from icub_grasp_generators.vgn.classifier import GraspClassifier, around_hand, facts_of, heights
 from icub_grasp_generators.vgn.descent import descend
 from icub_grasp_generators.vgn.figures import area_under_curve
-from icub_grasp_generators.vgn.judge import HandJudge, around_hand, facts_of, heights
 from icub_grasp_generators.vgn.palm import from_palm
 from icub_grasp_generators.vgn.samples import MAX_POINTS, NOISE
 from icub_grasp_generators.vgn.trials import TriedScene
 from icub_grasp_generators.vgn.volume import Volume
 
-JUDGE_CHECKPOINT = "judge.checkpoint.safetensors"
+CLASSIFIER_CHECKPOINT = "judge.checkpoint.safetensors"
 BATCH = 64
 LEARNING_RATE = 1e-3
 WEIGHT_DECAY = 1e-2
@@ -31,7 +31,7 @@ CHECKPOINT_SECONDS = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """Trials as the judge sees them.
+    """Trials as the grasp-quality classifier sees them.
 
     Attributes:
         distances: (N, 18, 14, 14) float16.
@@ -65,7 +65,7 @@ def cases_of(scenes: list[TriedScene], seed: int, progress: Callable[[float], No
         parts += [cases for cases in seen if cases is not None]
         progress(number / len(scenes))
     if not parts:
-        raise DataError("the judge of hand poses has no trials to learn from; give it more time")
+        raise DataError("the grasp-quality classifier of hand poses has no trials to learn from; give it more time")
     return Cases(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Cases)))
 
 
@@ -91,47 +91,47 @@ def _seen(scene: TriedScene, view: PointCloud, number: int, rng: np.random.Gener
     )
 
 
-def fit_judge(
+def fit_classifier(
     scenes: list[TriedScene], run_dir: Path, seed: int, seconds: float, progress: Callable[[float, str], None]
-) -> HandJudge:
+) -> GraspClassifier:
     """Do gradient steps on the scenes that are not held out for `seconds` over all calls."""
     torch.manual_seed(seed)
-    judge = HandJudge()
-    optimizer = torch.optim.AdamW(judge.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    classifier = GraspClassifier()
+    optimizer = torch.optim.AdamW(classifier.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
     taught = [scene for scene in scenes if not scene.held_out]
     cases = cases_of(taught, seed, lambda share: progress(0.0, f"judge: looking at trials, {share:.0%}"))
 
     def loss_of_step(step: int) -> torch.Tensor:
         part = np.random.default_rng([seed, step]).integers(len(cases.label), size=BATCH)
-        logits = judge(*cases.inputs(part))
+        logits = classifier(*cases.inputs(part))
         return functional.binary_cross_entropy_with_logits(logits, torch.from_numpy(cases.label[part]))
 
     descend(
-        judge.train(),
+        classifier.train(),
         optimizer,
-        run_dir / JUDGE_CHECKPOINT,
+        run_dir / CLASSIFIER_CHECKPOINT,
         seconds,
         loss_of_step,
         lambda share, text: progress(share, f"judge: {text}"),
         save_every=CHECKPOINT_SECONDS,
     )
-    return judge.eval().requires_grad_(False)
+    return classifier.eval().requires_grad_(False)
 
 
 @torch.inference_mode()
-def evaluate_judge(judge: HandJudge, scenes: list[TriedScene], seed: int = 0) -> dict[str, float]:
-    """Compare a judge with the trials of scenes that were held out.
+def evaluate_classifier(classifier: GraspClassifier, scenes: list[TriedScene], seed: int = 0) -> dict[str, float]:
+    """Compare a grasp-quality classifier with the trials of scenes that were held out.
 
     Returns:
         `trials` (each as often as it has views), `held` (share), `auc`, and `held_best`: the share of views in which
-        the trial judged best had held.
+        the trial scored best had held.
     """
     held_out = [scene for scene in scenes if scene.held_out]
     if not any(len(scene.success) for scene in held_out):
         return {"trials": 0.0}
     cases = cases_of(held_out, seed)
     pieces = np.array_split(np.arange(len(cases.label)), 1 + len(cases.label) // 256)
-    score = torch.cat([judge(*cases.inputs(part)) for part in pieces]).numpy()
+    score = torch.cat([classifier(*cases.inputs(part)) for part in pieces]).numpy()
     label = cases.label > 0.5
     figures = {"trials": float(len(label)), "held": float(label.mean())}
     if label.any() and not label.all():

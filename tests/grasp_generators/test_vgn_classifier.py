@@ -1,4 +1,4 @@
-"""The judge of hand poses: what it sees moves with the hand, what it learns, and the poses it is asked about."""
+"""The grasp-quality classifier: what it sees moves with the hand, what it learns, and the poses it is asked about."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from icub_core.data import PointCloud
 from icub_core.errors import DataError, WeightsError
 from icub_core.geometry import is_rigid, make_transform, quat_wxyz_to_matrix, rotation_about
 from icub_grasp_generators.synthetic_clouds import surface
+from icub_grasp_generators.vgn.classifier import CELLS, GraspClassifier, around_hand, facts_of, heights
+from icub_grasp_generators.vgn.classifier_training import evaluate_classifier, fit_classifier
 from icub_grasp_generators.vgn.exploration import DIP, ROLL, draw_poses, fitted, gripped_share
 from icub_grasp_generators.vgn.hand_search import around
-from icub_grasp_generators.vgn.judge import CELLS, HandJudge, around_hand, facts_of, heights
-from icub_grasp_generators.vgn.judge_training import evaluate_judge, fit_judge
 from icub_grasp_generators.vgn.network import HAND, Meaning, VgnNetwork, load_network, save_network
 from icub_grasp_generators.vgn.palm import PALM_POINT, YAW, at_palm
 from icub_grasp_generators.vgn.range_view import RangeView
@@ -67,7 +67,7 @@ def test_the_grid_shows_the_object_before_the_palm():
 
 @settings(max_examples=20, deadline=None)
 @given(st.floats(-0.5, 0.5), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
-def test_what_the_judge_sees_does_not_change_when_hand_and_scene_move_together(yaw, x, y):
+def test_what_the_classifier_sees_does_not_change_when_hand_and_scene_move_together(yaw, x, y):
     T = make_transform(rotation_about("z", yaw), [x, y, 0.0])
     move = lambda p: p @ T[:3, :3].T + T[:3, 3]  # noqa: E731
     cloud = box()
@@ -104,10 +104,10 @@ def scene(index: int, width: float, seed: int) -> TriedScene:
 
 
 def test_it_learns_where_the_fingers_must_be_and_goes_on_from_its_checkpoint(tmp_path, monkeypatch):
-    from icub_grasp_generators.vgn import judge_training
+    from icub_grasp_generators.vgn import classifier_training
 
     torch.set_num_threads(1)
-    monkeypatch.setattr(judge_training, "BATCH", 32)
+    monkeypatch.setattr(classifier_training, "BATCH", 32)
     widths = np.linspace(0.04, 0.06, 6)
     scenes = [scene(i, width, i) for i, width in enumerate(widths)] + [scene(9, 0.05, 9)]
     told: list[str] = []
@@ -120,40 +120,40 @@ def test_it_learns_where_the_fingers_must_be_and_goes_on_from_its_checkpoint(tmp
 
         return progress
 
-    monkeypatch.setattr(judge_training, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(classifier_training, "CHECKPOINT_SECONDS", 0.0)
     with pytest.raises(KeyboardInterrupt):
-        fit_judge(scenes, tmp_path, 0, 3.0, stop_after(3))
+        fit_classifier(scenes, tmp_path, 0, 3.0, stop_after(3))
     told.clear()
-    judge = fit_judge(scenes, tmp_path, 0, 3.0, stop_after(10**6))
+    classifier = fit_classifier(scenes, tmp_path, 0, 3.0, stop_after(10**6))
     first = next(text for text in told if "step" in text)
     assert first.startswith("judge: step 3")  # after the two that were saved
-    figures = evaluate_judge(judge, scenes)
+    figures = evaluate_classifier(classifier, scenes)
     assert figures["trials"] == 48
     assert figures["auc"] > 0.9
     assert figures["held_best"] == 1.0
-    assert evaluate_judge(judge, scenes[:3]) == {"trials": 0.0}
+    assert evaluate_classifier(classifier, scenes[:3]) == {"trials": 0.0}
     with pytest.raises(DataError, match="no trials"):
-        fit_judge([scene(9, 0.05, 9)], tmp_path / "none", 0, 1.0, lambda *_: None)
-    # judged one by one as in a batch of training
+        fit_classifier([scene(9, 0.05, 9)], tmp_path / "none", 0, 1.0, lambda *_: None)
+    # scored one by one as in a batch of training
     good, bad = FROM_ABOVE, FROM_ABOVE @ make_transform(np.eye(3), [0.05, 0.0, 0.0])
-    high, low = judge.judge(view_of(box()), np.stack([good, bad]), CENTER, TOP)
+    high, low = classifier.score(view_of(box()), np.stack([good, bad]), CENTER, TOP)
     assert 0 <= low < high <= 1
 
 
-def test_weights_with_a_judge(tmp_path):
+def test_weights_with_a_classifier(tmp_path):
     torch.manual_seed(0)
-    network, judge = VgnNetwork(), HandJudge()
-    save_network(tmp_path / "both.safetensors", network, Meaning(HAND), judge)
+    network, classifier = VgnNetwork(), GraspClassifier()
+    save_network(tmp_path / "both.safetensors", network, Meaning(HAND), classifier)
     _, meaning, again = load_network(str(tmp_path / "both.safetensors"))
     assert meaning == Meaning(HAND)
     assert again is not None
     assert not again.training
-    for name, value in judge.state_dict().items():
+    for name, value in classifier.state_dict().items():
         torch.testing.assert_close(again.state_dict()[name], value)
     save_network(tmp_path / "alone.safetensors", network, Meaning(HAND))
     assert load_network(str(tmp_path / "alone.safetensors"))[2] is None
-    judge.out = torch.nn.Linear(3, 1)
-    save_network(tmp_path / "foreign.safetensors", network, Meaning(HAND), judge)
+    classifier.out = torch.nn.Linear(3, 1)
+    save_network(tmp_path / "foreign.safetensors", network, Meaning(HAND), classifier)
     with pytest.raises(WeightsError, match="out.weight"):
         load_network(str(tmp_path / "foreign.safetensors"))
 

@@ -64,7 +64,7 @@ def facts_of(T_world_hand: FloatArray, center: FloatArray, table_top: FloatArray
     )
 
 
-class HandJudge(nn.Module):
+class GraspClassifier(nn.Module):
     """Three convolutions and two layers: 0.2 million parameters."""
 
     def __init__(self) -> None:
@@ -91,7 +91,7 @@ class HandJudge(nn.Module):
         return torch.as_tensor(self.out(self.dropout(x))[:, 0])
 
     @torch.inference_mode()
-    def judge(
+    def score(
         self, view: RangeView, T_world_hand: FloatArray, center: FloatArray, table_top: float
     ) -> NDArray[np.float64]:
         """Return how likely (C,) hands at poses (C, 4, 4) hold what is seen.
