@@ -67,13 +67,19 @@ def tiny(install):
 
 
 def test_every_kind_has_its_key_and_left_out_stages_are_null(tiny):
-    config = compose([*TINY_WORLD, "~grasp_generator"])
+    config = compose([*TINY_WORLD, "~grasp_generator", "~task"])
     assert set(KINDS) <= set(config)
     assert config.simulator.plugin == "tiny"
     assert config.segmenter is None
     assert config.grasp_generator is None
     assert config.task is None
     assert config.policy is None
+
+
+def test_parts_of_a_task_may_be_left_out_where_nothing_acts_in_it(tiny):
+    config = compose([*TINY_WORLD, "~grasp_generator"])
+    assert config.grasp_generator is None
+    assert config.task.plugin == "grasp"
 
 
 @pytest.mark.parametrize("sign", ["", "+", "++"])

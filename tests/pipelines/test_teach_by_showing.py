@@ -39,6 +39,7 @@ def run(folder, *words, stdin=""):
     return subprocess.run(command, cwd=folder, input=stdin, capture_output=True, text=True)
 
 
+@pytest.mark.slow
 def test_a_conversation_answers_every_line_and_goes_on_after_wrong_ones(tmp_path):
     words = ("+segmenter=falkon", "pipeline.interactive=true", "pipeline.frames=14", "pipeline.distractors=2")
     talk = (

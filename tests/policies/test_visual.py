@@ -91,7 +91,8 @@ def test_new_inputs_change_nothing_until_something_is_learned_from_them(make_env
         torch.testing.assert_close(wider.critics(with_images(seen), before), critics)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("gpayn", marks=pytest.mark.slow), "resprect"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["gpayn", "resprect"])
 def test_a_policy_learns_with_images_and_is_read_back(make_env, base_file, tmp_path, kind):
     env = make_env(visual=True, feature_extractor=Brightness)
 
