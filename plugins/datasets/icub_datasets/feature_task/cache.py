@@ -1,7 +1,7 @@
 """A compact folder of rendered FEATURE-TASK frames, written once, resumable, and read back into memory.
 
 Frames lie in shards (``shard_0000.npz``): images as JPEG, instance maps as PNG, class labels as integers. A shard
-appears under its name only when it is complete, so that an interrupted generation goes on where it stopped.
+appears under its name only when it is complete, so that an interrupted generation resumes where it stopped.
 """
 
 from __future__ import annotations

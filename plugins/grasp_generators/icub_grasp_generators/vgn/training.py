@@ -5,7 +5,7 @@
 
 `parallel_jaw` learns from trials of a floating gripper, as the original; `icub_hand` starts from it and learns from
 trials of the robot's own hand, which also teach its classifier. Trials are files in the run folder, training is
-checkpointed, and calling again with the same folder goes on where it was.
+checkpointed, and calling again with the same folder resumes where it was.
 """
 
 from __future__ import annotations
